@@ -16,21 +16,19 @@ without one are put on the covered body.
 import json
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
 
 from benchmarks.inverse import NOISE_PX, as_found
 from twin.arrays import Floats
-from twin.files import cache_folder
 from twin.parts.load import Load, Rectangles, Traction
 from twin.parts.scene import Scene, Sites
 from twin.sense.calibration import Calibration
 from twin.sense.fit_design import Fit, Presses
 from twin.sense.reconstruct import reconstruct
 from twin.sense.transfer import fill_between, from_presses
-from twin.study.batch.pool import versions
 from twin.study.calibrate import FOOTPRINT, calibration_press, hertz_radius, optics
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
@@ -72,7 +70,7 @@ class Measured:
 
 
 class Truth:
-    """Loads on all sensors, each solved once and kept on disk, until the program's sources change."""
+    """Loads on all sensors, each solved once."""
 
     def __init__(self, scene: Scene, made: list[Any], covered: bool) -> None:
         self.scene, self.made, self.covered = scene, made, covered
@@ -81,92 +79,64 @@ class Truth:
             update={"material": material, "tolerance": scene.tolerance.model_copy(update={"preset": "none"})}
         )
         self.sensor = Sensor(plain)
-        self._last: tuple[tuple[float, float], CoveredCompliance] | None = None
         self.points = np.concatenate([one.markers.points for one in made])
-        self.folder = cache_folder() / f"inverse-{versions()['twin']}"
-        self.folder.mkdir(parents=True, exist_ok=True)
+        self.rest_px = np.stack([self._project(one, one.markers.points) for one in made])
+        self.press = cache(self._press)
+        self.square = cache(self._square)
+        self.sites = cache(self._sites)
+        self.bumps = cache(self._bumps)
+        self._body = lru_cache(1)(self._body_at)
 
-    def rest_px(self) -> Floats:
-        """Return (s, n, 2) markers at rest."""
-        return np.stack([self._project(one, one.markers.points) for one in self.made])
-
-    def press(self, chart: tuple[float, float], steps: int) -> list[Measured]:
+    def _press(self, chart: tuple[float, float]) -> list[Measured]:
         """Return a calibration press's steps: along z, then with shear along x, then along y."""
-        return [self._measured(*self._press_step(chart, step)) for step in range(steps)]
-
-    def square(self, chart: tuple[float, float], half_mm: float) -> Floats:
-        """Return (s, 2n, 3) px/N of a uniform square, exact and linear."""
-        place = self._square(chart, half_mm)
-        compliance = self._kept("square", (*chart, half_mm), lambda: self._body(chart).to_points(self.points, place))
-        columns = compliance.reshape(len(self.points), 3, 3)
-        return np.stack([self._through(one, part) for one, part in zip(self.made, self._split(columns), strict=True)])
-
-    def sites(self) -> Floats:
-        """Return (s, 2n, 3k) px/N at the scene's sites, exact and linear."""
-        moved = self._kept("sites", (), lambda: self.sensor.compliance.to_points(self.points, self.sensor.sites))
-        columns = moved.reshape(len(self.points), 3, -1)
-        return np.stack([self._through(one, part) for one, part in zip(self.made, self._split(columns), strict=True)])
-
-    def _split(self, columns: Floats) -> Floats:
-        return columns.reshape(len(self.made), -1, *columns.shape[1:])
-
-    def _through(self, one: Any, compliance: Floats) -> Floats:
-        """Return (2n, q) px/N of a sensor's (n, 3, q) mm/N at the nominal modulus."""
-        scene = one.scene
-        slope = project_with_jacobian(
-            one.markers.points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
-        )[1]
-        return np.asarray((slope @ compliance).reshape(2 * len(slope), -1) / self._stiffer(one))
-
-    def bumps(self, seed: int) -> tuple[list[Measured], Load]:
-        """Return a load of several bumps, drawn anew for every seed, and the load itself."""
-        load = drawn_bumps(seed)
-        rectangles = self.sensor.rectangles(load)
-        moved = self._kept("bumps", (seed,), lambda: self.sensor.compliance.displacement(self.points, rectangles))
-        return [self._measured(rectangles.force_n.sum(axis=0), moved)], load
-
-    def _press_step(self, chart: tuple[float, float], step: int) -> tuple[Floats, Floats]:
-        path = self.folder / f"press-{chart[0]:g}-{chart[1]:g}-{step}.npz"
-        if not path.is_file():
-            self._solve(chart)
-        with np.load(path) as stored:
-            load = Rectangles(**{f: stored[f] for f in ("centre_mm", "frames", "half_mm", "force_n")})
-        moved = self._kept("moved", (*chart, step), lambda: self._body(chart).displacement(self.points, load))
-        return load.force_n.sum(axis=0), moved
-
-    def _solve(self, chart: tuple[float, float]) -> None:
-        places = self._square(chart, HALF_MM)
-        path = self.sensor.press(calibration_press(self.sensor.nominal, places, 0)).path
-        for step, state in enumerate(path):
-            load = self.sensor.rectangles(state.load)
-            parts: dict[str, Any] = {f: getattr(load, f) for f in ("centre_mm", "frames", "half_mm", "force_n")}
-            np.savez(self.folder / f"press-{chart[0]:g}-{chart[1]:g}-{step}.npz", **parts)
+        path = self.sensor.press(calibration_press(self.sensor.nominal, self._rectangle(chart, HALF_MM), 0)).path
         print(f"pressed {chart}", file=sys.stderr, flush=True)
+        loads = [self.sensor.rectangles(state.load) for state in path]
+        return [
+            self._measured(load.force_n.sum(axis=0), self._body(chart).displacement(self.points, load))
+            for load in loads
+        ]
 
-    def _square(self, chart: tuple[float, float], half_mm: float) -> Rectangles:
+    def _square(self, chart: tuple[float, float], half_mm: float) -> Floats:
+        """Return (s, 2n, 3) px/N of a uniform square, exact and linear."""
+        return self._transfer(self._body(chart).to_points(self.points, self._rectangle(chart, half_mm)))
+
+    def _sites(self) -> Floats:
+        """Return (s, 2n, 3k) px/N at the scene's sites, exact and linear."""
+        return self._transfer(self.sensor.compliance.to_points(self.points, self.sensor.sites))
+
+    def _bumps(self, seed: int) -> Measured:
+        """Return a load of several bumps, drawn anew for every seed."""
+        rectangles = self.sensor.rectangles(drawn_bumps(seed))
+        return self._measured(
+            rectangles.force_n.sum(axis=0), self.sensor.compliance.displacement(self.points, rectangles)
+        )
+
+    def _transfer(self, compliance: Floats) -> Floats:
+        """Return (s, 2n, q) px/N of all sensors from mm/N (3 s n, q) at the nominal modulus."""
+        parts = compliance.reshape(len(self.made), -1, 3, compliance.shape[1])
+        found = []
+        for one, part in zip(self.made, parts, strict=True):
+            scene = one.scene
+            slope = project_with_jacobian(
+                one.markers.points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
+            )[1]
+            found.append((slope @ part).reshape(2 * len(slope), -1) / self._stiffer(one))
+        return np.stack(found)
+
+    def _rectangle(self, chart: tuple[float, float], half_mm: float) -> Rectangles:
         points = self.scene.body.chart_points(np.array([chart]))
         half = np.full((1, 2), half_mm)
         return Rectangles(
             centre_mm=points, frames=self.scene.body.frames(points), half_mm=half, force_n=np.zeros((1, 3))
         )  # fmt: skip
 
-    def _body(self, chart: tuple[float, float]) -> Any:
+    def _body_at(self, chart: tuple[float, float]) -> Any:
         """Return the body's compliance; a covered one has a mesh for every place, of which the last is kept."""
         if not self.covered:
             return self.sensor.compliance
-        if self._last is None or self._last[0] != chart:
-            scene, layer = self.sensor.nominal, Layer(modulus_ratio=COVER, poisson_ratio=NU)
-            self._last = chart, CoveredCompliance(scene.body, scene.material, 0.2, layer, level="coarse")
-        return self._last[1]
-
-    def _kept(self, what: str, key: tuple[float, ...], make_it: Any) -> Floats:
-        kind = "covered" if self.covered else "bare"
-        name = "-".join(f"{v:g}" for v in key)
-        path: Path = self.folder / f"{what}-{kind}-{len(self.made)}-{name}.npy"
-        if not path.is_file():
-            np.save(path, make_it())
-            print(f"{what} {kind} {key}", file=sys.stderr, flush=True)
-        return np.asarray(np.load(path))
+        scene, layer = self.sensor.nominal, Layer(modulus_ratio=COVER, poisson_ratio=NU)
+        return CoveredCompliance(scene.body, scene.material, 0.2, layer, level="coarse")
 
     def _stiffer(self, one: Any) -> float:
         return one.scene.material.youngs_modulus_mpa / self.scene.material.youngs_modulus_mpa
@@ -183,6 +153,13 @@ class Truth:
     def _project(self, one: Any, points: Floats) -> Floats:
         scene = one.scene
         return project(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)  # type: ignore[arg-type]
+
+
+@cache
+def truth_of(covered: bool) -> Truth:
+    """Return the truth of all made sensors."""
+    scene = design()
+    return Truth(scene, sensors(scene), covered)
 
 
 def drawn_bumps(seed: int) -> Load:
@@ -239,8 +216,8 @@ def measure(quick: bool) -> list[dict[str, Any]]:
 
 def study(numbers: Any, covered: bool, counts: tuple[int, ...], single: bool = False) -> list[dict[str, Any]]:
     """Return the errors of every sensor and way; see `measured` for ``single``."""
-    scene = design()
-    truth, out = Truth(scene, sensors(scene), covered), []
+    truth, out = truth_of(covered), []
+    scene = truth.scene
     for count in counts:
         chart = PLACES[count]
         places = on_surface(scene.body, np.array(chart or [(0.0, 0.0)]), 0.5, "places")
@@ -260,8 +237,8 @@ def study(numbers: Any, covered: bool, counts: tuple[int, ...], single: bool = F
 def measured(truth: Truth, number: int, chart: list[tuple[float, float]], single: bool = False) -> Presses:
     """Return what is measured on one sensor at the given places; ``single``: one press a place, its kinds by turns."""
     random = np.random.default_rng([number, 1])
-    steps = [step for place in chart for step in truth.press(place, 3)]
-    rest = truth.rest_px()[number]
+    steps = [step for place in chart for step in truth.press(place)]
+    rest = truth.rest_px[number]
     forces = np.array([step.force_n[number] for step in steps]).reshape(-1, 3)
     shifts = np.array([step.shift_px[number] for step in steps]).reshape(-1, *rest.shape)
     kept = [3 * place + place % 3 for place in range(len(chart))] if single else slice(None)
@@ -295,8 +272,8 @@ def errors(truth: Truth, number: int, twin: FittedDesign, found: Fit, presses: P
 
 def free_matrices(numbers: Any) -> list[dict[str, Any]]:
     """Return every sensor's errors by a free matrix, measured at Sato's 25 places by 75 presses."""
-    scene = design()
-    truth, out = Truth(scene, sensors(scene), False), []
+    truth, out = truth_of(covered=False), []
+    scene = truth.scene
     radius = hertz_radius(scene, scene.calibration.press_force_n)
     places = on_surface(scene.body, np.array(LAWN), FOOTPRINT * radius, "places")
     twin = FittedDesign(scene, places, np.full(len(places), radius))
@@ -355,7 +332,7 @@ def totals(truth: Truth, number: int, own: Calibration) -> dict[str, float]:
     exact = linear(own, truth.sites()[number])
     wrong: dict[str, list[float]] = {"total": [], "total, exact H": []}
     for seed in range(BUMPS):
-        (step,), _ = truth.bumps(seed)
+        step = truth.bumps(seed)
         random = np.random.default_rng([number, 3, seed])
         shift = step.shift_px[number] + random.normal(0, NOISE_PX, own.layout_px.shape)
         for name, one in (("total", own), ("total, exact H", exact)):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from twin.world.mesh.elements import quadrature, shapes
 from twin.world.mesh.snap import snapped_mesh
 
 KUHN = [(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)]
@@ -26,6 +27,13 @@ def block_boxes(body, cells, jitter_mm=0.0):
     points, tets = boxes(*axes)
     moves = np.random.default_rng(1).uniform(-jitter_mm, jitter_mm, points.shape)
     return points + moves, tets
+
+
+def jacobians(mesh):
+    """Return (m, q) determinants of the elements' maps at the points of `quadrature(3)`, and its weights."""
+    places, weights = quadrature(3)
+    slopes = shapes(places)[1]
+    return np.linalg.det(np.einsum("tai,qaj->tqij", mesh.points[mesh.tets], slopes)), weights
 
 
 def slab(body, x, y, z, region_of_z=None):

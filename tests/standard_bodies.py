@@ -1,11 +1,15 @@
 """The bodies of both papers, rectangles of load, and how far two fields are apart: for all tests."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 
 from twin.parts.body import Block, Dome, Finger
 from twin.parts.load import Rectangles, Traction
+
+REFERENCE = Path(__file__).parent / "reference"
+"""What other programs computed, and how it was made."""
 
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)

@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+import trimesh
 from standard_bodies import write_stl
 
 from twin.parts.body import Dome, Solid
@@ -49,8 +50,6 @@ def bracket():
 
 def facetted_dome(dome, edge_mm):
     """Return triangles of a dome with edges of about ``edge_mm``: the hull of points on rings."""
-    from scipy.spatial import ConvexHull
-
     longest = dome.radius_mm * np.arccos(1 - dome.height_mm / dome.radius_mm)
     rings = int(np.ceil(longest / edge_mm))
     charts = [np.zeros((1, 2))]
@@ -59,13 +58,7 @@ def facetted_dome(dome, edge_mm):
         charts.append(longest * ring / rings * np.column_stack([np.cos(angle), np.sin(angle)]))
     points = dome.chart_points(np.concatenate(charts))
     points[-6 * rings :, 2] = dome.height_mm
-    hull = ConvexHull(points)
-    corners = points[hull.simplices]
-    out = np.einsum(
-        "mi,mi->m", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), hull.equations[:, :3]
-    )
-    corners[out < 0] = corners[out < 0][:, ::-1]
-    return corners
+    return np.asarray(trimesh.convex.convex_hull(points).triangles)
 
 
 def rounded_pad(edge_mm=None, width=24.0, length=16.0, height=7.0, fillet=2.0, segments=6):
@@ -93,9 +86,7 @@ def rounded_pad(edge_mm=None, width=24.0, length=16.0, height=7.0, fillet=2.0, s
     corners = corners[np.linalg.norm(normal, axis=1) > 1e-9]
     if edge_mm is None:
         return corners
-    from trimesh.remesh import subdivide_to_size
-
-    vertices, triangles = subdivide_to_size(
+    vertices, triangles = trimesh.remesh.subdivide_to_size(
         corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), max_edge=edge_mm, max_iter=20
     )
     return np.asarray(vertices[triangles])

@@ -108,14 +108,6 @@ def test_a_piece_goes_on_in_its_last_plane_beyond_its_edge(tmp_path):
     assert abs(sensing) < 0.3 * np.sin(0.06) + 0.01  # facets of 1 mm are turned by up to 0.05 rad
 
 
-def test_points_on_every_face_of_a_body_with_a_dent_are_inside_and_on_their_piece(tmp_path):
-    solid = solid_bracket(tmp_path)
-    on_faces = spread(bracket(), 7).reshape(-1, 3)
-    distance = solid.piece_distances(on_faces)
-    assert_allclose(distance.min(axis=1), 0, atol=1e-6)
-    assert distance.min() > -1e-6
-
-
 @pytest.mark.parametrize("make", [lambda f: solid_bracket(f), lambda f: solid_dome(f, 1.5)[0]], ids=["bracket", "dome"])
 def test_normals_are_gradients_of_the_distances(tmp_path, make):
     solid, step = make(tmp_path), 1e-6

@@ -120,13 +120,6 @@ def test_shear_starts_stuck_and_ends_at_three_halves_of_the_stuck_motion():
     assert stick_radius(A, MU * P * 7 / 8, P, MU) == pytest.approx(A / 2)
 
 
-def test_the_tractions_of_two_hertz_discs_add_up_to_the_force():
-    """Mindlin: mu p of the whole disc less (c/a) mu p of the stuck one; forces go like r^3."""
-    force = 0.6 * MU * P
-    c = stick_radius(A, force, P, MU)
-    assert MU * P * (1 - (c / A) ** 3) == pytest.approx(force)
-
-
 def test_twist_starts_stuck_and_ends_at_the_torque_of_full_slip():
     turn, torque = twisted((1 - 1e-6) * A, A, P, MU, E, NU)
     assert torque / turn == pytest.approx(torsional_stiffness(A, E, NU), rel=1e-4)

@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from scipy.spatial import ConvexHull
+import trimesh
 from standard_bodies import BLOCK
 
 from twin.parts.load import Rectangles
@@ -114,13 +114,8 @@ def patch_areas(state):
 
 def hull(points):
     """Return vertices and outward triangles of a convex solid."""
-    whole = ConvexHull(points)
-    triangles = whole.simplices
-    a, b, c = (whole.points[triangles[:, k]] for k in range(3))
-    middle = whole.points.mean(axis=0)
-    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c - 3 * middle) < 0
-    triangles[inwards] = triangles[inwards][:, ::-1]
-    return whole.points, triangles
+    solid = trimesh.convex.convex_hull(points)
+    return np.asarray(solid.vertices), np.asarray(solid.faces)
 
 
 def jacobian_of(turning):

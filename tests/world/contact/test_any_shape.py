@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from presses import pressed, settled
 from scipy.special import ellipe, ellipk
 from standard_bodies import write_stl
@@ -17,17 +18,6 @@ from twin.study.recipe import validate_scene
 DEPTH = 0.2
 MODULUS = 1.0 / (1.0 - 0.5**2)
 """E / (1 - nu^2) of what `pressed` presses, MPa."""
-
-
-def swept(section, count):
-    """Return vertices and triangles of a section (m, 2) of radius and height, swept about z."""
-    m, angle = len(section), 2.0 * np.pi * np.arange(count) / count
-    radius, height = np.transpose(section)
-    rows = [np.outer(np.cos(angle), radius), np.outer(np.sin(angle), radius), np.tile(height, (count, 1))]
-    number = np.arange(count * m).reshape(count, m)
-    corners = [number, np.roll(number, -1, 0), np.roll(number, (-1, -1), (0, 1)), np.roll(number, -1, 1)]
-    a, b, c, d = (corner.ravel() for corner in corners)
-    return np.stack(rows, axis=-1).reshape(-1, 3), np.concatenate([np.c_[a, b, c], np.c_[a, c, d]])
 
 
 AROUND = 2.0 * np.pi * np.arange(200) / 200
@@ -67,11 +57,8 @@ def ring_force(height, inner, outer, count=400):
 def ring(request, tmp_path_factory):
     """A probe whose contact is a ring, and the force that it needs."""
     section, height, ends = SHAPES[request.param]
-    vertices, triangles = swept(section, 200)
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    if np.einsum("ij,ij->", np.cross(a, b), c) < 0.0:
-        triangles = triangles[:, ::-1]
-    file = write_stl(tmp_path_factory.mktemp("rings") / "ring.stl", vertices[triangles])
+    swept = trimesh.creation.revolve(np.vstack([section, section[:1]]), sections=200)
+    file = write_stl(tmp_path_factory.mktemp("rings") / "ring.stl", swept.triangles)
     return Stl(file=str(file)), ring_force(height, *ends)
 
 

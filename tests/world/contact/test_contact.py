@@ -1,7 +1,6 @@
 """Presses on a half-space against the closed forms, and what must hold on any body."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from standard_bodies import BLOCK, FINGER
 from benchmarks.contact_theory import (
     bonded_punch_stiffness,
     oblique_motion,
-    punch_stiffness,
     square_punch_stiffness,
     tangential_stiffness,
     torsional_stiffness,
@@ -50,23 +48,6 @@ def test_a_light_touch_of_a_large_sphere(diameter, force):
     theory = hertz(radius_mm=diameter / 2, youngs_modulus_mpa=1, poisson_ratio=0.5, force_n=force)
     state = pressed(ball(diameter, force_n=(0, 0, force)), across=10)
     assert state.indentation_mm == pytest.approx(theory.indentation_mm, rel=0.01)
-
-
-def test_a_cone_beside_the_fingers_crest_finds_its_contact():
-    """A long contact that leans reached over one corner of grids that only moved after it."""
-    cone = Cone(apex_deg=133, diameter_mm=6.56)
-    wanted = Press(probe=cone, at_mm=(3.068, 1.945), force_n=(None, None, 0.2532))
-    state = pressed(wanted, FINGER, e=0.5, across=9)
-    assert state.force_n[2] == pytest.approx(0.2532, rel=1e-8)
-    assert state.residual < 1e-8
-
-
-def test_flat_punch_converges_to_its_stiffness():
-    theory, wanted = 0.1 * punch_stiffness(2.5, 1.0, 0.5), punch(5, indentation_mm=0.1)
-    errors = [abs(pressed(wanted, across=n).force_n[2] / theory - 1) for n in (8, 16, 32)]
-    orders = [math.log2(coarse / fine) for coarse, fine in pairwise(errors)]
-    assert min(orders) > 1.2, (errors, orders)
-    assert errors[1] < 0.006
 
 
 @pytest.mark.parametrize("side", [3.0, 40.0])
@@ -144,13 +125,18 @@ PRESSES = {
     "finger tip": (FINGER, ball(3, at_mm=(4, 2), steps=(down(0.3),))),
     "finger tip stuck": (FINGER, ball(3, at_mm=(3, 1), friction=STUCK, steps=SHEARED)),
     "finger cylinder": (FINGER, punch(10, at_mm=(-2, 0), steps=(push(1.0),))),
+    # A long contact that leans: it reached over one corner of grids that only moved after it.
+    "finger cone": (
+        FINGER,
+        Press(probe=Cone(apex_deg=133, diameter_mm=6.56), at_mm=(3.068, 1.945), force_n=(None, None, 0.5064)),
+    ),
 }
 
 
 @pytest.mark.parametrize("name", PRESSES)
 def test_equilibrium_and_complementarity(name):
     body, probe = PRESSES[name]
-    state = pressed(probe, body, across=10)
+    state = pressed(probe, body, across=9)
     patches = only(state)
     assert_allclose(patches.force_n.sum(axis=0), state.force_n, atol=1e-12)
     for given, got in zip(probe.path[-1].force_n, state.force_n, strict=True):
@@ -215,27 +201,6 @@ def test_a_turned_pillar_presses_its_turned_footprint():
     assert a[1] > 2 * a[0]
     assert b[0] == pytest.approx(a[1])
     assert turned.force_n[2] == pytest.approx(one.force_n[2], rel=1e-9)
-
-
-@pytest.mark.parametrize("friction", [0.0, *(pytest.param(mu, marks=pytest.mark.slow) for mu in (0.5, STUCK))])
-def test_mirror(friction):
-    def half(sign):
-        steps = (push(0.4), Step(move_mm=(0.05, 0.1 * sign, None), turn_deg=3 * sign))
-        wanted = ball(3, at_mm=(2, 1.5 * sign), friction=friction, steps=steps)
-        return pressed(wanted, FINGER, nu=0.4, across=10)
-
-    one, other = half(1), half(-1)
-    assert_allclose(other.force_n * [1, -1, 1], one.force_n, rtol=2e-3, atol=1e-4)
-    assert other.torque_nmm == pytest.approx(-one.torque_nmm, rel=0.02, abs=1e-4)
-    assert other.contact_radius_mm == pytest.approx(one.contact_radius_mm, rel=5e-3)
-
-
-def test_units_scale():
-    """Ten times the modulus and the force: the same place, contact and ten times the pressure."""
-    soft = pressed(ball(3, force_n=(0, 0, 0.2)))
-    hard = pressed(ball(3, force_n=(0, 0, 2.0)), e=10.0)
-    assert hard.indentation_mm == pytest.approx(soft.indentation_mm, rel=1e-9)
-    assert_allclose(hard.pressure_mpa, 10 * soft.pressure_mpa, rtol=1e-8)
 
 
 LIFTED = Step(force_n=(None, None, 0.0))

@@ -215,7 +215,7 @@ def test_gap_and_push_have_their_slopes(direction, linear):
         assert here.bend[some][:, :, axis] == pytest.approx(slope_of("push", *around), abs=1e-4)
 
 
-@pytest.mark.parametrize("friction", [0.2, 0.8])
+@pytest.mark.parametrize("friction", [pytest.param(0.2, marks=pytest.mark.slow), 0.8])
 def test_sphere_that_slides_is_rubbed_by_the_coefficient_times_its_pressure_along_the_deformed_surface(friction):
     """What the rubber resists with, less the pressure along the present normals, is friction: at its bound
     once the points slide, and on the way there below it."""

@@ -1,10 +1,8 @@
 """Covers of another modulus: the layered half-space on a flat body, scaling, no cover."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from standard_bodies import BLOCK, FINGER, assert_near, relative_error
+from standard_bodies import BLOCK, FINGER, REFERENCE, assert_near, relative_error
 
 from benchmarks.layered import Layered, bump_displacement
 from twin.parts.load import Traction
@@ -18,7 +16,6 @@ from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.fem import Layer
 
 RUBBER = Material(youngs_modulus_mpa=1.0, poisson_ratio=0.5)
-REFERENCE = Path(__file__).parents[2] / "reference" / "covered_finger.npz"
 AROUND = np.stack(np.meshgrid([-3, -1, -0.4, 0, 0.3, 1], [-2, 0, 0.5, 1.5]), -1).reshape(-1, 2)
 
 
@@ -100,7 +97,7 @@ def test_a_region_is_made_once_and_patches_on_it_are_reciprocal():
 @pytest.mark.parametrize("case", ["normal", "sideways"])
 def test_finger_agrees_with_an_independent_code(case):
     """NGSolve, order 3 on curved elements of both: bump 1 mm, cover ten times stiffer."""
-    with np.load(REFERENCE) as file:
+    with np.load(REFERENCE / "covered_finger.npz") as file:
         points, expected = file["points"], file[case]
     stiff = CoveredCompliance(
         FINGER, RUBBER, 0.2, Layer.of_cover(RUBBER, Cover(youngs_modulus_mpa=10.0)), level="nominal"

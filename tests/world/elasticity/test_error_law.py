@@ -14,11 +14,10 @@ mesh; hence the bound of five times.
 """
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from standard_bodies import BLOCK, FINGER, relative_error
+from standard_bodies import BLOCK, FINGER, REFERENCE, relative_error
 
 from twin.parts.body import Block
 from twin.parts.load import Traction
@@ -27,7 +26,7 @@ from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.error_law import missed_at_edges
 
-STORED = json.loads((Path(__file__).parents[2] / "reference" / "near_edges.json").read_text())
+STORED = json.loads((REFERENCE / "near_edges.json").read_text())
 RUBBER = Material(youngs_modulus_mpa=0.5, poisson_ratio=0.5)
 MESHED = ("bar", "bar, towards its edge", "column")
 CASES = [

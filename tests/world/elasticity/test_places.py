@@ -1,19 +1,16 @@
 """A level refined where a load is steep: fields of an independent code 2 mm from a pad's edge, and on the finger."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from standard_bodies import FINGER, relative_error, traction_of
+from standard_bodies import FINGER, REFERENCE, relative_error, traction_of
 
 from twin.parts.body import Block
 from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.world.elasticity.coated import Ladder
 from twin.world.elasticity.discretise import tile
-
-REFERENCE = Path(__file__).parents[2] / "reference"
 
 
 @pytest.mark.slow

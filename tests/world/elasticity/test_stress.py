@@ -167,15 +167,6 @@ def test_wide_loads_are_the_sum_of_small_pieces(block, load):
     assert_allclose(one, other, atol=2e-5 * np.abs(one).max())
 
 
-def test_a_load_over_the_whole_face_is_the_sum_of_its_quarters(block):
-    points = np.array([[1.0, 2.0, 3.0], [40.0, -30.0, 9.0], [0.0, 0.0, 30.0]])
-    quarter = tuple(np.array(PUSH) / 4)
-    centres = [(x, y) for x in (-25.0, 25.0) for y in (-22.5, 22.5)]
-    parts = Rectangles.joined([square(centre, (50, 45), force=quarter) for centre in centres])
-    one, other = (block.displacement(points, each) for each in (square((0, 0), (100, 90)), parts))
-    assert_allclose(one, other, atol=0.01 * np.abs(one).max())
-
-
 def test_loads_on_an_edge_or_over_it_are_refused(block):
     for centre in ((50.0, 0.0, 0.0), (50.0 - 1e-5, 0.0, 0.0), (0.0, 45.0005, 0.0)):
         with pytest.raises(InputError, match=r"mm from the body's [xy]_max face .*move it inwards"):

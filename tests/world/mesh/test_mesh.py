@@ -15,7 +15,7 @@ from twin.files import MESHES
 from twin.parts.body import Block, Finger, Solid
 from twin.world.mesh import body_mesh as making
 from twin.world.mesh.body_mesh import body_mesh, build_mesh, mesh_key
-from twin.world.mesh.elements import TET_EDGES, TRIANGLE_EDGES
+from twin.world.mesh.elements import TET_EDGES
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality, dihedral_angles, offsets
 from twin.world.mesh.sizing import Sizing, WantedEdge
@@ -62,26 +62,6 @@ def test_shipped_meshes_pass_the_gates_and_are_small_enough_to_factor(shipped):
     assert least < mesh.unknowns < most
 
 
-def test_boundary_nodes_lie_on_the_true_surface_and_inner_nodes_inside(shipped):
-    mesh, body, _ = shipped
-    boundary = np.unique(mesh.faces)
-    distance = body.piece_distances(mesh.points)
-    assert np.max(np.min(np.abs(distance[boundary]), axis=1)) < 1e-9
-    assert np.min(distance) > -1e-9
-    inner = np.setdiff1d(np.arange(len(mesh.points)), boundary)
-    assert np.min(distance[inner]) > 1e-3 * mesh.points.max()
-
-
-def test_faces_point_out_of_their_piece_and_close_the_body(shipped):
-    mesh, body, _ = shipped
-    a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
-    area = np.cross(b - a, c - a) / 2
-    size = np.linalg.norm(area, axis=1)
-    assert np.linalg.norm(area.sum(axis=0)) < 1e-9 * size.sum()
-    inward = body.piece_normals((a + b + c) / 3)[np.arange(len(area)), mesh.piece]
-    assert np.min(np.einsum("ij,ij->i", -inward, area) / size) > 0.97
-
-
 def test_volume_and_held_area_are_exact_on_the_block_and_near_on_the_finger(shipped):
     mesh, body, _ = shipped
     near = 2e-5 if body is FINGER else 1e-12
@@ -92,18 +72,6 @@ def test_volume_and_held_area_are_exact_on_the_block_and_near_on_the_finger(ship
     lifted = (mesh.points - [0, 0, body.base_z_mm]) * [1, 1, 0] + [0, 0, 1]
     footprint = 2 * 8 * 8 + np.pi * 64 / 2 if body is FINGER else 9000.0
     assert 3 * replace(mesh, points=lifted, faces=held).enclosed_volume() == pytest.approx(footprint, rel=near)
-
-
-def test_quadratic_faces_carry_the_finger_s_volume_far_better_than_straight_ones():
-    mesh = Mesh.read(MESHES / "sato_finger.standard.npz")
-    straight = mesh.points.copy()
-    straight[mesh.faces[:, 3:]] = mesh.points[mesh.faces[:, TRIANGLE_EDGES]].mean(axis=2)
-    curved_error, straight_error = (
-        abs(replace(mesh, points=points).enclosed_volume() / FINGER.volume_mm3 - 1)
-        for points in (mesh.points, straight)
-    )
-    assert straight_error > 1e-3
-    assert curved_error < straight_error / 100
 
 
 def test_edges_are_graded_to_the_clamped_rim(shipped):

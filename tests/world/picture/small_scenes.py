@@ -1,10 +1,10 @@
 """Small scenes for the tests of pictures, and what is seen of them."""
 
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
+from standard_bodies import REFERENCE
 
 from twin.parts.markers import place
 from twin.parts.scene import Scene
@@ -16,11 +16,8 @@ SPLAT = Variant(name="splat", library=None, reason="runs everywhere")
 RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.15, 0.9)
 
 
-RECIPES = Path(__file__).parents[2] / "reference"
-
-
 def scene_of(name, **keys):
-    recipe = tomllib.loads((RECIPES / f"small_{name}.toml").read_text())
+    recipe = tomllib.loads((REFERENCE / f"small_{name}.toml").read_text())
     return Scene.model_validate({**recipe, **keys})
 
 

@@ -67,20 +67,6 @@ def test_the_picture_shows_what_the_outlines_say(scene, renderer):
     assert light[2, 2].min() > 0
 
 
-def test_motion_in_millimetres_is_motion_in_pixels_without_mirror(scene, renderer):
-    rest = beads([(0, 0, 6)])
-    start = renderer.outlines(rest)
-    for move in ((0.31, 0, 0), (0, 0.17, 0), (-0.2, 0.1, 0.9)):
-        there = beads([tuple(np.add((0, 0, 6), move))])
-        shift = renderer.outlines(there).centroid_px - start.centroid_px
-        expected = seen_at(there.centres, scene) - seen_at(rest.centres, scene)
-        assert_allclose(shift, expected, atol=0.01)
-    up = renderer.radiance(beads([(0, 0.5, 6)]))[:, :, 0].sum(axis=1).argmax()
-    right = renderer.radiance(beads([(0.5, 0, 6)]))[:, :, 0].sum(axis=0).argmax()
-    assert up < 40
-    assert right > 65
-
-
 def test_moved_markers_leave_nothing_of_the_picture_before(scene, renderer):
     renderer.radiance(rest_of(scene))
     moved = Ellipsoids.of(place(scene.body, scene.markers), scene.markers, np.full((10, 3), 0.2))
