@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import twin
-from twin.show.body_view import BodyFrame, BodyView
+from twin.show.body_view import BodyView
 from twin.study.sensor import Sensor
 from twin.study.view import body_view
 
@@ -69,7 +69,7 @@ def test_two_probes_are_both_there_and_both_told() -> None:
 
 
 def test_the_page_holds_the_arrays_and_no_markup_of_the_title() -> None:
-    frame = BodyFrame(
+    frame = BodyView.Frame(
         name="rest", said="</script><b>", displacement_mm=np.zeros((3, 3)), marker_displacement_mm=np.zeros((1, 3)),
         patch_mm=np.zeros((0, 4, 3)), patch_displacement_mm=np.zeros((0, 3)), traction_mpa=np.zeros((0, 3)),
         slip=np.zeros(0, bool),

@@ -9,14 +9,14 @@ import pytest
 
 from twin.errors import MissingCapability
 from twin.show import body_view
-from twin.show.body_view import BodyFrame, BodyView
+from twin.show.body_view import BodyView
 
 
 def view_of(slip: list[bool]) -> BodyView:
     """Return a tetrahedron with two markers, one square in contact on each of some."""
     count = len(slip)
     square = np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0], [0, 0.3, 0]])
-    frame = BodyFrame(
+    frame = BodyView.Frame(
         name="1",
         said="Step 1.",
         displacement_mm=np.zeros((4, 3)),

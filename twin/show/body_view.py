@@ -31,25 +31,6 @@ OTHER = "#6a737c"
 
 
 @dataclass(frozen=True, kw_only=True)
-class BodyFrame:
-    """One state of the body, mm and MPa: v corners of the surface, n markers, k patches in contact.
-
-    ``name`` and ``said`` are the step's label and a sentence about it; ``patch_mm`` (k, 4, 3) the
-    patches' corners at rest and ``patch_displacement_mm`` (k, 3) how they moved; ``slip`` (k,)
-    whether each slips on the probe.
-    """
-
-    name: str
-    said: str
-    displacement_mm: Points
-    marker_displacement_mm: Points
-    patch_mm: Floats
-    patch_displacement_mm: Points
-    traction_mpa: Floats
-    slip: Bools
-
-
-@dataclass(frozen=True, kw_only=True)
 class BodyView:
     """A body with its markers and its states in order, at least one.
 
@@ -57,13 +38,31 @@ class BodyView:
     and the radius of a marker by layer.
     """
 
+    @dataclass(frozen=True, kw_only=True)
+    class Frame:
+        """One state, mm and MPa: v corners of the surface, n markers, k patches in contact.
+
+        ``name`` and ``said`` are the step's label and a sentence about it; ``patch_mm`` (k, 4, 3)
+        the patches' corners at rest and ``patch_displacement_mm`` (k, 3) how they moved; ``slip``
+        (k,) whether each slips on the probe.
+        """
+
+        name: str
+        said: str
+        displacement_mm: Points
+        marker_displacement_mm: Points
+        patch_mm: Floats
+        patch_displacement_mm: Points
+        traction_mpa: Floats
+        slip: Bools
+
     title: str
     corner_mm: Points
     triangle: Ints
     marker_mm: Points
     marker_layer: np.ndarray
     layer_radius_mm: dict[str, float]
-    frames: tuple[BodyFrame, ...]
+    frames: tuple[Frame, ...]
 
     def page(self) -> str:
         """Return the page of ``twin view``."""
@@ -188,7 +187,7 @@ def _home(view: BodyView) -> tuple[list[float], float]:
     return list((inside.min(axis=0) + inside.max(axis=0)) / 2), min(0.7 / max(share, 1e-9), 3.0)
 
 
-def _frame(frame: BodyFrame) -> dict[str, Any]:
+def _frame(frame: BodyView.Frame) -> dict[str, Any]:
     moved = np.repeat(frame.patch_displacement_mm[:, None], 4, axis=1)
     return {
         "name": frame.name,
@@ -237,7 +236,7 @@ sys.exit(sys.argv[1:] not in ([], [window.GetClassName()]))
 X11 = "vtkXOpenGLRenderWindow"
 
 
-def _draw(plotter: Any, pyvista: Any, view: BodyView, frame: BodyFrame, times: float) -> None:
+def _draw(plotter: Any, pyvista: Any, view: BodyView, frame: BodyView.Frame, times: float) -> None:
     """Put a state into the window, in place of the one before."""
     triangles = np.insert(view.triangle, 0, 3, axis=1).ravel()
     body = pyvista.PolyData(view.corner_mm + times * frame.displacement_mm, triangles)

@@ -26,7 +26,7 @@ from twin.parts.part import UNITS
 from twin.results import RunResult, Touch, Truth
 from twin.show.explain import LIMITS, one_layer
 from twin.show.html_page import cleaned, digits, figure, finite, page, table, two_columns
-from twin.show.svg_plots import Axes, force_field
+from twin.show.svg_plots import Axes
 
 _STAGES = ("elastic", "tracking", "force")
 """Order of the stages in the table of errors; others follow."""
@@ -694,7 +694,7 @@ def _maps(result: RunResult, sites: Points, fields: list[tuple[str, Floats]]) ->
     outline = _contact(result)
     panels = []
     for name, force in fields:
-        axes, content, pushed = force_field(sites[:, :2], force, side, normal, per_cell)
+        axes, content, pushed = Axes.force_field(sites[:, :2], force, side, normal, per_cell)
         if outline is not None:
             middle, radius = outline
             ((x, y),) = axes.place(np.array([middle]))

@@ -66,6 +66,21 @@ class Axes:
             height=width * abs(top - bottom) / abs(right - left),
         )
 
+    @classmethod
+    def force_field(
+        cls, sites: Floats, force: Floats, side: float, largest: float, per_cell: float
+    ) -> tuple[Axes, str, str]:
+        """Return axes around (k, 2) sites, mm, colours of the (k, 3) forces, N, along z, and arrows
+        of those along x and y.
+
+        ``side`` of the square drawn for a site, mm; ``largest`` force of full colour, N;
+        ``per_cell`` force whose arrow is one cell long, N.
+        """
+        (left, low), (right, high) = sites.min(axis=0), sites.max(axis=0)
+        axes = Axes.equal(left - side, right + side, low - side, high + side)
+        colours = axes.cells(sites, side, force[:, 2], largest)
+        return axes, colours, axes.arrows(sites, force[:, :2] * side / per_cell, "force")
+
     def place(self, points: Floats) -> Floats:
         """Return the (n, 2) view coordinates, to the right and down, of (n, 2) data points."""
         across = (points[:, 0] - self.left) / (self.right - self.left)
@@ -207,18 +222,3 @@ def _ticks(low: float, high: float, about: int = 6) -> list[float]:
 def _path(steps: Sequence[str], style: str) -> str:
     """Return one path of SVG steps, of a class; empty without steps."""
     return f'<path class="{style}" d="{"".join(steps)}"/>' if steps else ""
-
-
-def force_field(
-    sites: Floats, force: Floats, side: float, largest: float, per_cell: float
-) -> tuple[Axes, str, str]:
-    """Return axes around (k, 2) sites, mm, colours of the (k, 3) forces, N, along z, and arrows of
-    those along x and y.
-
-    ``side`` of the square drawn for a site, mm; ``largest`` force of full colour, N; ``per_cell``
-    force whose arrow is one cell long, N.
-    """
-    (left, low), (right, high) = sites.min(axis=0), sites.max(axis=0)
-    axes = Axes.equal(left - side, right + side, low - side, high + side)
-    colours = axes.cells(sites, side, force[:, 2], largest)
-    return axes, colours, axes.arrows(sites, force[:, :2] * side / per_cell, "force")

@@ -313,7 +313,7 @@ def _resolved(path: Path, overrides: Mapping[str, Any]) -> Scene:
         _override(table, key, value)
     body = table.get("body")
     if isinstance(body, dict) and "recipe" in body:
-        recipe = _find(str(body["recipe"]), MESHES, folders, "body recipe", path)
+        recipe = _find(str(body["recipe"]), folders, "body recipe", path)
         below = read_recipe(recipe)
         folders.append(recipe.parent)
         if extra := sorted(set(below) - {"body", "material", "title"}):
@@ -343,33 +343,30 @@ def shipped_scenes() -> dict[str, Path]:
     }
 
 
-def find_scene(scene: str | Path) -> Path:
-    """Return the file of a scene given by path or by the name of a shipped one."""
-    if scene and os.path.isdir(scene):
+def find_scene(scene: str | Path, what: str = "scene") -> Path:
+    """Return the file of a scene, or of a "sweep", by path or by the name of a shipped one; of a
+    sweep also without the name's first part."""
+    if what == "scene" and scene and os.path.isdir(scene):
         raise InputError(
             f"{scene}: is a folder; give a scene file, such as {Path(scene) / 'scene.toml'}"
         )
-    return _find(str(scene), SCENES, [Path.cwd()], "scene")
+    return _find(str(scene), [Path.cwd()], what)
 
 
-def _find(
-    name: str, shipped: Path, near: Sequence[Path], what: str, where: Path | None = None
-) -> Path:
-    given = [folder / os.path.expanduser(name) for folder in near]
-    for candidate in (*given, shipped / f"{name}.toml"):
+def _find(name: str, near: Sequence[Path], what: str, where: Path | None = None) -> Path:
+    is_sweep = what == "sweep"
+    given = [each / os.path.expanduser(name) for each in near]
+    folder = MESHES if what == "body recipe" else SCENES
+    shipped = [folder / f"{first}{name}.toml" for first in ("", *[SWEEP] * is_sweep)]
+    for candidate in (*given, *shipped):
         if os.path.isfile(candidate):  # Path.is_file raises where a name is too long
             return candidate
-    known = [p.stem for p in sorted(shipped.glob("*.toml")) if not p.stem.startswith(SWEEP)]
-    text = nothing_named(name, known, what)
+    known = [p.stem for p in sorted(folder.glob("*.toml")) if p.stem.startswith(SWEEP) == is_sweep]
+    otherwise = f"there is no such file, and shipped ones are: {', '.join(known)}"
+    text = f"no {what} '{name}': {did_you_mean(Path(name).stem, known, otherwise)}"
     if name and any(os.path.lexists(file) for file in given):
         text = f"{what} '{name}': is no file to read, but a folder, a device, or a link to nowhere"
     raise InputError(text) if where is None else RecipeError(text, str(where))
-
-
-def nothing_named(name: str, known: list[str], what: str) -> str:
-    """Return the message about a name that is neither a file nor one of the shipped recipes."""
-    otherwise = f"there is no such file, and shipped ones are: {', '.join(known)}"
-    return f"no {what} '{name}': {did_you_mean(Path(name).stem, known, otherwise)}"
 
 
 def _read_with_bases(path: Path, above: Sequence[Path] = ()) -> tuple[Table, list[Path]]:
@@ -383,7 +380,7 @@ def _read_with_bases(path: Path, above: Sequence[Path] = ()) -> tuple[Table, lis
         return table, [path.parent]
     if not isinstance(base, str):
         raise RecipeError(f"base = {base!r}: must be the name or path of a scene", str(path))
-    base_path = _find(base, SCENES, [path.parent], "base scene", path)
+    base_path = _find(base, [path.parent], "base scene", path)
     chain = [*above, path]
     if any(base_path.samefile(each) for each in chain):
         raise RecipeError(f"base = '{base}': a scene can't be its own base", str(path))

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.arrays import Ints, Points
 from twin.parts.load import Rectangles
-from twin.show.body_view import BodyFrame, BodyView
+from twin.show.body_view import BodyView
 from twin.show.html_page import cleaned
 from twin.study.sensor import Sensor
 
@@ -107,9 +107,11 @@ def _under_each(state: ContactState) -> list[tuple[Rectangles, ContactState]]:
     return list(zip(patches, touching, strict=True))
 
 
-def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | None) -> BodyFrame:
+def _frame(
+    sensor: Sensor, corners: Points, number: int, state: ContactState | None
+) -> BodyView.Frame:
     markers = sensor.actual.markers.points
-    rest = BodyFrame(
+    rest = BodyView.Frame(
         name="rest",
         said="At rest.",
         displacement_mm=np.zeros_like(corners),

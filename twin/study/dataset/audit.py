@@ -13,7 +13,7 @@ from twin.arrays import Progress
 from twin.errors import InputError, RecipeError
 from twin.study.batch.pool import Job, Pool
 from twin.study.dataset.plan import Places, Plan
-from twin.study.dataset.reader import DatasetReader, readable
+from twin.study.dataset.reader import DatasetReader
 
 WORK = "twin.study.dataset.sample:audit_sample"
 FIGURES = {
@@ -134,7 +134,7 @@ def _schema(reader: DatasetReader, info: dict[str, object]) -> list[str]:
         for each in columns  # type: ignore[attr-defined]
     }
     for file in sorted(reader.places.data.glob("part-*.parquet")):
-        with readable(file):
+        with DatasetReader.readable(file):
             found = pq.read_schema(file)
         if found.names != list(wanted):
             problems.append(f"{file.name}: has other columns than in info.json")

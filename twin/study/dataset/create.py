@@ -28,7 +28,7 @@ from twin.study.dataset.audit import audit
 from twin.study.dataset.export import write_card
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import prepare
-from twin.study.dataset.reader import readable
+from twin.study.dataset.reader import DatasetReader
 from twin.study.dataset.sample import audit_sample, make_shard
 
 TRIED = 4
@@ -230,7 +230,7 @@ def _failures(plan: Plan, places: Places) -> tuple[set[int], str]:
     failed: set[int] = set()
     reason = ""
     for number in range(plan.shards):
-        with readable(places.shard(number)):
+        with DatasetReader.readable(places.shard(number)):
             table = pq.read_table(places.shard(number), columns=["index", "status", "error"])
             table.select(["index", "status", "error"])
         bad = table.filter(pc.equal(table["status"], "failed"))

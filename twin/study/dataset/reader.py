@@ -64,7 +64,7 @@ class DatasetReader:
         self.columns = tuple(columns) if columns is not None else tuple(self._kinds)
         self._known(self.columns)
         self._files = sorted(self.places.data.glob("part-*.parquet"))
-        with readable(self.places.data):
+        with self.readable(self.places.data):
             counts = [pq.read_metadata(file).num_rows for file in self._files]
         self._starts = [int(start) for start in np.concatenate([[0], np.cumsum(counts)])]
         self._group: tuple[tuple[int, int], Any] | None = None
@@ -73,6 +73,29 @@ class DatasetReader:
 
     def __repr__(self) -> str:
         return f"DatasetReader({self.places.folder}, {len(self)} rows of {', '.join(self.columns)})"
+
+    @staticmethod
+    @contextmanager
+    def readable(path: Path) -> Iterator[None]:
+        """Say of a file that it can't be read, whatever the libraries that read it say of a damaged
+        one."""
+        import pyarrow as pa
+
+        try:
+            yield
+        except (
+            pa.ArrowException,
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            SyntaxError,
+        ) as problem:
+            text = str(problem).splitlines()[0][:200] if str(problem) else type(problem).__name__
+            raise InputError(
+                f"{path}: can't be read ({text}); copy it again, or remove it and make it again"
+            ) from None
 
     @staticmethod
     def decoded(data: bytes) -> Picture:
@@ -99,7 +122,7 @@ class DatasetReader:
         if not 0 <= number < len(self):
             raise IndexError(f"row {row}: the dataset has {len(self)}")
         file = bisect.bisect_right(self._starts, number) - 1
-        with readable(self._files[file]):
+        with self.readable(self._files[file]):
             table, first = self._rows_near(file, number - self._starts[file])
             place = number - self._starts[file] - first
             return {
@@ -135,7 +158,7 @@ class DatasetReader:
 
         wanted = list(dict.fromkeys(columns if columns is not None else self.columns))
         self._known(wanted)
-        with readable(self.places.data):
+        with self.readable(self.places.data):
             return pq.read_table([str(file) for file in self._files], columns=wanted)
 
     def _known(self, names: Sequence[str]) -> None:
@@ -178,7 +201,7 @@ class DatasetReader:
 
             rows = {}
             for file in sorted(self.places.sensors.glob("part-*.parquet")):
-                with readable(file):
+                with self.readable(file):
                     table = pq.read_table(file)
                     for place, found in enumerate(table["sensor"].to_pylist()):
                         row = {
@@ -205,29 +228,6 @@ class DatasetReader:
                     opened.read_row_group(group, columns=list(self.columns)),
                 )
         return self._group[1], first
-
-
-@contextmanager
-def readable(path: Path) -> Iterator[None]:
-    """Say of a file that it can't be read, whatever the libraries that read it say of a damaged
-    one."""
-    import pyarrow as pa
-
-    try:
-        yield
-    except (
-        pa.ArrowException,
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        SyntaxError,
-    ) as problem:
-        text = str(problem).splitlines()[0][:200] if str(problem) else type(problem).__name__
-        raise InputError(
-            f"{path}: can't be read ({text}); copy it again, or remove it and make it again"
-        ) from None
 
 
 def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> DatasetReader:

@@ -8,7 +8,6 @@ milliseconds to validate.
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,13 +18,12 @@ from pydantic import ValidationError
 
 from twin.arrays import Floats
 from twin.errors import InputError, RecipeError, did_you_mean
-from twin.files import SCENES
 from twin.parts.part import Part, in_words, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import Range, Sweep, Values
 from twin.streams import Purpose, stream
 from twin.study.batch.draw import Table, look_up, plain_table, put
-from twin.study.recipe import SWEEP, load_scene, nothing_named, read_recipe, validate_scene
+from twin.study.recipe import find_scene, load_scene, read_recipe, validate_scene
 
 
 @dataclass(frozen=True)
@@ -252,7 +250,7 @@ def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     InputError
         There is no such file.
     """
-    path = _find(str(name))
+    path = find_scene(name, "sweep")
     sweep = _sweep_of(read_recipe(path), str(path))
     sweep = sweep.model_copy(update={"set": {**sweep.set, **(overrides or {})}})
     near = path.parent / sweep.scene
@@ -305,14 +303,3 @@ def _line(error: dict[str, Any]) -> str:
     if keys and not isinstance(value, dict | Sweep):
         shown = f" = {value!r}{' ' + unit if unit else ''}"
     return f"{dotted}{shown}: {in_words(error)}"
-
-
-def _find(name: str) -> Path:
-    """Return the file of a path, a shipped name, or such a name without its first part."""
-    shipped = (SCENES / f"{name}.toml", SCENES / f"{SWEEP}{name}.toml")
-    for candidate in (Path(os.path.expanduser(name)), *shipped):
-        if os.path.isfile(candidate):
-            return candidate
-    raise InputError(
-        nothing_named(name, [path.stem for path in sorted(SCENES.glob(f"{SWEEP}*.toml"))], "sweep")
-    )

@@ -17,7 +17,7 @@ from twin.parts.part import Part, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import METRICS
 from twin.show.html_page import digits, figure, page, small_picture, table, two_columns
-from twin.show.svg_plots import Axes, force_field
+from twin.show.svg_plots import Axes
 from twin.study.recipe import dump_scene
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import closed
@@ -501,7 +501,7 @@ def _field(name: str, sites: Points, force: Floats) -> str:
     apart = np.linalg.norm(sites[1:, :2] - sites[:1, :2], axis=1)
     side = float(apart.min()) if len(apart) else 1.0
     largest = float(np.abs(force[:, 2]).max()) or 1.0
-    axes, colours, pushed = force_field(sites[:, :2], force, side, largest, largest / 1.5)
+    axes, colours, pushed = Axes.force_field(sites[:, :2], force, side, largest, largest / 1.5)
     svg = axes.drawing(colours + pushed, "x (mm)", "y (mm)", f"Force field, {name}")
     return figure(svg, f"{escape(name)}; the strongest is {digits(largest)} N a site")
 
