@@ -428,6 +428,9 @@ def _fit_centres(
                 growth = total[11] / max(total[10], 1e-9) / mean_radius
                 scale = min(max(scale * (1.0 + min(max(growth, -0.1), 0.1)), 0.7), 1.3)
             settled = abs(growth) < SETTLED_GROWTH and brighter < SETTLED_LEVEL * level
+            # the first step trusts all pixels, which moves irregular markers: not where others end
+            expected = noise[0] * total[0] + (noise[1] - noise[0]) * total[1]
+            settled = settled and (turn > 0 or total[14] < UNUSUAL * expected)
             if settled and step < SETTLED_PX * SETTLED_PX:
                 break
         if step > 1e8:
