@@ -586,7 +586,7 @@ def doctor(*, json_: Json = False) -> None:
 def view(
     path: Annotated[
         str,
-        Parameter(help="A scene (path or shipped name), or the folder of a run or of a dataset."),
+        Parameter(help="A scene (path or shipped name), a run's or dataset's folder, or an STL."),
     ],
     *,
     out: Annotated[
@@ -610,10 +610,12 @@ def view(
     With --window the same is shown in a window, with sliders for the step and for how large
     displacements are shown.
 
-    Of a dataset it shows a sheet of samples, with the truth drawn in.
+    Of a dataset it shows a sheet of samples, with the truth drawn in; of an STL file the surface,
+    on which a click picks a face and gives the lines of a recipe that hold it or press it.
 
     Examples:
     twin view kamiyama_shear
+    twin view pad.stl
     twin view out/kamiyama_pillar
     twin view kamiyama_shear --out shear.gif
     twin view kamiyama_shear --window
@@ -636,8 +638,15 @@ def view(
     from twin.study.film import FILMS, write_film
     from twin.study.recipe import find_scene
     from twin.study.sensor import Sensor
-    from twin.study.view import body_view
+    from twin.study.view import body_view, surface_view
 
+    if folder.suffix.lower() == ".stl":
+        page = out or Path(f"{folder.stem}.html")
+        if window or page.suffix.lower() not in PAGES:
+            raise InputError(f"{path}: an STL file gives a page, --out NAME.html, and no window")
+        write_whole(page, surface_view(folder).page().encode())
+        print(f"written to {page}; open it in a browser and click what is pressed or held")
+        return
     # The page of a run goes into the run's folder, that of a scene into the current one.
     if folder.is_dir() and not (folder / "scene.toml").is_file():
         raise InputError(

@@ -5,15 +5,17 @@ import json
 import re
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import twin
 from twin.show.body_view import BodyView
 from twin.study.sensor import Sensor
-from twin.study.view import body_view
+from twin.study.view import body_view, surface_view
 
 
 @pytest.fixture(scope="module")
@@ -98,3 +100,20 @@ def test_a_browser_paints_it(tmp_path: Path) -> None:
 
     shades = np.asarray(Image.open(picture).convert("L"))[100:600, 150:750]
     assert (shades < 235).mean() > 0.2, "the body fills a good part of the window"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("chromium"), reason="needs a browser: apt install chromium")
+def test_a_face_that_is_clicked_becomes_a_region_of_a_recipe(tmp_path: Path) -> None:
+    """The middle of a box, seen from above, is its top, of which the recipe's region picks the same share."""
+    trimesh.creation.box(bounds=[[-10, -8, 0], [10, 8, 5]]).export(tmp_path / "pad.stl")
+    page = tmp_path / "pad.html"
+    click = "<script>pick(canvas.clientWidth / 2, canvas.clientHeight / 2)</script></body>"
+    page.write_text(surface_view(tmp_path / "pad.stl").page().replace("</body>", click))
+    browser = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--window-size=900,700", "--dump-dom"]
+    shown = subprocess.run([*browser, page.as_uri()], capture_output=True, text=True, check=True).stdout
+    line = re.search(r"sensing\.plane = \{.*?\}", shown)[0]
+    plane = tomllib.loads(line)["sensing"]["plane"]
+    assert plane["normal"] == [0, 0, -1]
+    assert plane["point_mm"][2] == 0
+    assert f"Blue: {100 * 320 / (2 * (320 + 100 + 80)):.1f} %" in shown

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -40,6 +41,12 @@ class Values(Part):
     """
 
     values: tuple[Any, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _finite(self) -> Values:
+        if any(isinstance(each, float) and not math.isfinite(each) for each in self.values):
+            raise ValueError("its numbers must be finite")
+        return self
 
     def grid(self, default: int) -> list[Any]:
         """Return the axis's values on a grid."""

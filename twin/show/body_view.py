@@ -35,7 +35,8 @@ class BodyView:
     """A body with its markers and its states in order, at least one.
 
     (v, 3) corners and (t, 3) outward triangles at rest, (n, 3) markers, mm, with (n,) layer names,
-    and the radius of a marker by layer.
+    and the radius of a marker by layer. With ``picking`` a click on the page gives the lines of a
+    recipe that pick the face there as a region of a body from a file.
     """
 
     @dataclass(frozen=True, kw_only=True)
@@ -63,6 +64,7 @@ class BodyView:
     marker_layer: np.ndarray
     layer_radius_mm: dict[str, float]
     frames: tuple[Frame, ...]
+    picking: bool = False
 
     def page(self) -> str:
         """Return the page of ``twin view``."""
@@ -82,6 +84,7 @@ class BodyView:
                 for name in names
             ],
             "frames": [_frame(frame) for frame in self.frames],
+            "pick": self.picking,
         }
         return _filled("body_view.html", self.title, data)
 

@@ -4,6 +4,7 @@ sticks or slips."""
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +43,45 @@ def body_view(sensor: Sensor) -> BodyView:
         marker_layer=markers.layer,
         layer_radius_mm={name: layer.diameter_mm / 2 for name, layer in scene.markers.items()},
         frames=tuple(_frame(sensor, corners, number, state) for number, state in enumerate(states)),
+        picking=scene.body.own_surface is not None,
+    )
+
+
+def surface_view(file: Path) -> BodyView:
+    """Return a closed STL file as it is, on whose page faces are picked as a body's regions.
+
+    Raises
+    ------
+    InputError
+        The file can't be read, or its surface isn't closed.
+    """
+    from twin.geometry.closed import Surface
+
+    surface = Surface.read(str(file))
+    none = np.zeros((0, 3))
+    size = np.ptp(surface.vertices, axis=0)
+    extent = " x ".join(f"{side:.4g}" for side in size)
+    still = BodyView.Frame(
+        name="as in the file",
+        said=f"{extent} mm along x, y and z; -z is up. Click a face (a curved one in "
+        "its middle), or turn it to the middle and press Enter: what picks it in a recipe is "
+        "printed here.",
+        displacement_mm=np.zeros_like(surface.vertices),
+        marker_displacement_mm=none,
+        patch_mm=np.zeros((0, 4, 3)),
+        patch_displacement_mm=none,
+        traction_mpa=none,
+        slip=np.zeros(0, bool),
+    )
+    return BodyView(
+        title=file.name,
+        corner_mm=surface.vertices,
+        triangle=surface.triangles,
+        marker_mm=none,
+        marker_layer=np.zeros(0, str),
+        layer_radius_mm={},
+        frames=(still,),
+        picking=True,
     )
 
 

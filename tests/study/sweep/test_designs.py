@@ -89,6 +89,13 @@ def test_keys_that_are_not_there_are_said_before_anything_is_done(changes: dict[
         Designs.of(*small(**{"derived": {}, **changes}))
 
 
+@pytest.mark.parametrize(("values", "said"), [("[]", "at least 1"), ("[nan, 1.0]", "must be finite")])
+def test_an_axis_without_numbers_is_refused_by_its_key(values: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "sweep.toml").write_text(f'scene = "block_bare"\n[axes]\n"body.thickness_mm" = {values}\n')
+    with pytest.raises(RecipeError, match=rf"axes\.body\.thickness_mm.*{said}"):
+        load_sweep(tmp_path / "sweep.toml")
+
+
 def test_every_wrong_key_of_a_file_is_said_with_the_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(

@@ -302,7 +302,7 @@ class Places:
         """Return info.json, or raise `InputError` if there is none or it can't be read."""
         try:
             facts: dict[str, Any] = json.loads(self.info.read_text())
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             raise InputError(f"{self.folder}: has no meta/info.json, so it is no dataset") from None
         except (OSError, ValueError, RecursionError) as problem:
             raise InputError(f"{self.info}: can't be read ({problem})") from None

@@ -275,7 +275,8 @@ def _sweep_of(table: dict[str, Any], where: str) -> Sweep:
     except ValidationError as problem:
         errors: list[dict[str, Any]] = [dict(error) for error in problem.errors(include_url=False)]
         # a wrong item shortens its list
-        inside = {error["loc"][0] for error in errors if len(error["loc"]) > 1}
+        wrong = [error["loc"] for error in errors if error["type"] != "too_short"]
+        inside = {place[0] for place in wrong if len(place) > 1}
         kept = [e for e in errors if not (e["type"] == "too_short" and e["loc"][0] in inside)]
         raise RecipeError([_line(e) for e in kept], where) from None
 
