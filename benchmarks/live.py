@@ -15,7 +15,7 @@ from benchmarks.clock import Clock, empty_cache
 from twin.blas_threads import one_thread
 from twin.errors import ContactError
 from twin.study.live import QUICK, LivePress
-from twin.study.recipe import load_scene, parse_override
+from twin.study.recipe import load_scene
 
 SCENES = ("kamiyama_pillar", "sato_press")
 HANDS = 24
@@ -53,7 +53,7 @@ def _row(name: str, count: int) -> dict[str, Any]:
 
 
 def _opened(name: str) -> LivePress:
-    live = LivePress(load_scene(name, dict(parse_override(text) for text in QUICK)))
+    live = LivePress(load_scene(name, QUICK))
     live.answer(live.start().question())
     return live
 

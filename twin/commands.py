@@ -2,7 +2,8 @@
 lines out.
 
 Every decision lives elsewhere. Heavy packages are imported inside the functions, so that ``twin
---help`` prints at once.
+--help`` prints at once. First come the options that commands share and what all of them use, then
+the commands: a run, its explanation, meshes, scenes, checks, views, real sensors, and many presses.
 """
 
 from __future__ import annotations
@@ -391,11 +392,12 @@ def _live(
     scene: str, out: Path | None, want: Sequence[str], port: int, set_: Sequence[str]
 ) -> None:
     from twin.study.live import QUICK, run_live
+    from twin.study.recipe import load_scene
 
     if out is not None or want:
         raise InputError("--live writes nothing and shows all there is: leave out --out and --want")
     with _scene_named(scene):
-        run_live(_load(scene, (*QUICK, *set_)), port, _progress())
+        run_live(load_scene(scene, QUICK | _parsed(set_)), port, _progress())
 
 
 def _wanted(names: Sequence[str]) -> frozenset[str]:

@@ -7,7 +7,6 @@ import pytest
 
 import twin
 from twin.study.live import QUICK
-from twin.study.recipe import parse_override
 
 pytest.importorskip("gymnasium")
 
@@ -18,7 +17,7 @@ def test_it_is_an_environment_that_feels_what_is_done() -> None:
 
     from twin.study.gym import TactileEnv
 
-    scene = twin.load_scene("kamiyama_pillar", dict(parse_override(text) for text in (*QUICK, "press.friction=1.2")))
+    scene = twin.load_scene("kamiyama_pillar", QUICK | {"press.friction": 1.2})
     env = TactileEnv(scene, reward=lambda seen: float(seen.total_force_n[2]))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # its advice on unbounded spaces and on rendering
@@ -40,7 +39,7 @@ def test_it_is_an_environment_that_feels_what_is_done() -> None:
 def test_a_frictionless_probe_is_not_pushed_sideways() -> None:
     from twin.study.gym import TactileEnv
 
-    env = TactileEnv(twin.load_scene("kamiyama_pillar", dict(parse_override(text) for text in QUICK)))
+    env = TactileEnv(twin.load_scene("kamiyama_pillar", QUICK))
     assert not env.action_space.high[3:].any()
     env.reset()
     _, reward, _, _, info = env.step(np.array([0.0, 0.0, 2.0, 0.2, 0.0, 0.0]))

@@ -23,14 +23,13 @@ import twin
 from twin.errors import InputError
 from twin.show.body_view import hand_page
 from twin.study.live import LARGEST_QUESTION, QUICK, Hand, LivePress, run_live
-from twin.study.recipe import parse_override
 
 PUSH = {"x_mm": 1.0, "y_mm": -0.5, "push_n": 2.0, "side_x": 0.2, "side_y": 0.0, "twist": 0.5, "friction": 1.2}
 
 
 @pytest.fixture(scope="module")
 def live() -> LivePress:
-    return LivePress(twin.load_scene("kamiyama_pillar", dict(parse_override(text) for text in QUICK)))
+    return LivePress(twin.load_scene("kamiyama_pillar", QUICK))
 
 
 @pytest.fixture(scope="module")
@@ -137,8 +136,7 @@ def test_what_can_t_be_is_said_and_the_page_lives_on(page: Any) -> None:
 
 
 def test_in_time_a_held_press_creeps_slip_stays_and_another_place_begins_anew() -> None:
-    quick = dict(parse_override(text) for text in QUICK)
-    live = LivePress(twin.load_scene("gelpad_creep", quick | {"ccd.noise": False}))
+    live = LivePress(twin.load_scene("gelpad_creep", QUICK | {"ccd.noise": False}))
     hand = {**live.start().question(), "friction": 0.6}
 
     def ask(seconds: float | None = 0.3, **change: float) -> dict[str, Any]:

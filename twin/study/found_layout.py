@@ -234,7 +234,7 @@ def _table(layer: FoundLayer, own: _Drawn, name: str) -> list[str]:
         f'kind = "{own.kind}"  # print: flat dots; bead: spheres cast into the body',
     ]
     if own.depth_mm is None:
-        lines.append("# depth_mm =    # below the outer surface: no picture tells it, fill it in")
+        lines.append("# depth_mm =    # below the outer surface: no picture shows it, fill it in")
     else:
         lines.append(f"depth_mm = {own.depth_mm:g}")
     if own.pitch_mm is None or own.diameter_mm is None or own.offset_mm is None:
@@ -262,7 +262,7 @@ def _table(layer: FoundLayer, own: _Drawn, name: str) -> list[str]:
         f'assumed.colour = "counts of {name} over 255"',
     ]
     if own.depth_mm is not None:
-        lines.append('assumed.depth_mm = "as given or drawn: no picture tells it"')
+        lines.append('assumed.depth_mm = "as given or drawn: no picture shows it"')
     if abs(layer.angle_deg) > 0.5:
         turn = f"tilt_deg = [0, 0, {layer.angle_deg:.1f}]"
         lines.append(f"# rows are turned in the picture; in [camera]: {turn}")

@@ -38,12 +38,12 @@ from twin.parts.press import Press, Step
 from twin.parts.scene import Scene
 from twin.study.environment import Environment, Observation
 
-QUICK = (
-    "accuracy.contact_patches=8",
-    "accuracy.contact_increments=4",
-    "accuracy.centroid_px=0.05",
-    "accuracy.surface_table=true",
-)
+QUICK = {
+    "accuracy.contact_patches": 8,
+    "accuracy.contact_increments": 4,
+    "accuracy.centroid_px": 0.05,
+    "accuracy.surface_table": True,
+}
 """What a live scene is overridden with before anything the user asks for: marker displacements
 change by up to 0.8 % of the largest (measured against 16 patches in 8 parts), centroids by up to
 0.03 px, for a third of the time on a block; on a curved body for a twentieth, after half a minute

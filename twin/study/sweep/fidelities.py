@@ -37,6 +37,7 @@ from twin.arrays import Bools, Floats, Picture, Points, Singles
 from twin.compiled import COMPILING
 from twin.errors import InputError, RecipeError
 from twin.judge.resolution import dip, full_width, two_point_distance
+from twin.judge.score import GROSS_PX
 from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.parts.methods import Method
@@ -71,9 +72,6 @@ core of two."""
 
 _Signs = tuple[int, int]
 """Even (1) or odd (-1) under the mirrors of x and y; 0 where there is no mirror."""
-
-GROSS_PX = 1.0
-"""A shift wrong by more than this is a mistaken marker, and left out of the deviation."""
 
 SHORT_S = 1.5
 """CPU seconds below which an estimate is made twice: a process's first design was measured to take
