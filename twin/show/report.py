@@ -211,9 +211,16 @@ def _pictures(result: RunResult) -> str:
             brighter = f", {digits(gain)} times as bright as it is" if gain > 1 else ""
             image = f'<img src="{uri}" width="{width}" height="{height}" alt="{alt}"{style}>'
             figures.append(figure(image, f"{name}, {width} × {height} px{smaller}{brighter}"))
-    if result.rest is not None and result.pressed is not None:
-        figures += _difference(result.rest, result.pressed)
-    return two_columns(figures)
+    if result.rest is None or result.pressed is None:
+        return two_columns(figures)
+    return _BLINK + two_columns(figures + _difference(result.rest, result.pressed))
+
+
+_BLINK = (
+    '<input type="checkbox" id="blink"><label for="blink"> blink: both pictures at one place, in '
+    "turn, so that motion is seen</label>"
+)
+"""By the style sheet alone: pages have no scripts."""
 
 
 _PICTURE_BYTES = 1_000_000
