@@ -22,7 +22,6 @@ from benchmarks.discs import GROUND_DN, bound_px, cover, expose
 from twin.sense.track import Found, Tracker, track
 
 COLUMNS, ROWS = 10, 8
-Draw = Callable[..., np.ndarray]
 
 
 class Card:

@@ -18,7 +18,6 @@ that the set doesn't depend on the machine's LLVM.
 import json
 import math
 import os
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -294,7 +293,3 @@ def measure(what: Literal["store", "compare"]) -> int:
     problems = compare(read())
     print("\n".join(problems) or "nothing differs")
     return 1 if problems else 0
-
-
-if __name__ == "__main__":  # ``python -m benchmarks frozen``, as it was once
-    sys.exit(measure(sys.argv[1]))  # type: ignore[arg-type]

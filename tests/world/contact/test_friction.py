@@ -185,12 +185,20 @@ def test_taking_the_side_force_back_leaves_a_share_of_the_motion():
     ("probe", "friction", "near"),
     [(Sphere(diameter_mm=5), MU, 5e-3), (Sphere(diameter_mm=5), STUCK, 5e-3), (Pillar(width_mm=4), MU, 1e-9)],
 )
-@pytest.mark.parametrize("lift", [Step(move_mm=(0.3, 0.1, -1)), push(0.0, move_mm=(0.3, 0.1, None))])
-def test_a_probe_that_is_lifted_over_is_pressed_anew_where_it_comes_down(probe, friction, near, lift):
+@pytest.mark.parametrize(
+    ("lift", "again", "alone"),
+    [
+        (Step(move_mm=(0.3, 0.1, -1)), push(0.1), push(0.1)),
+        (Step(move_mm=(0.3, 0.1, -1)), down(1), down(0.1)),
+        (push(0.0, move_mm=(0.3, 0.1, None)), push(0.1), push(0.1)),
+    ],
+)
+def test_a_probe_that_is_lifted_over_is_pressed_anew_where_it_comes_down(probe, friction, near, lift, again, alone):
     kinds = {"probe": probe, "friction": friction}
-    over = rubbed(down(0.1), lift, push(0.1), **kinds)[-1]
-    fresh = rubbed(push(0.1), **kinds)[-1]
+    over = rubbed(down(0.1), lift, again, **kinds)[-1]
+    fresh = rubbed(alone, **kinds)[-1]
     assert over.indentation_mm == pytest.approx(fresh.indentation_mm, rel=near)
+    assert over.force_n[2] == pytest.approx(fresh.force_n[2], rel=2 * near)
     assert_allclose(centre_of(over), [0.3, 0.1, 0.0], atol=near)
     assert_allclose(over.force_n[:2], 0.0, atol=1e-3 * over.force_n[2])
 
