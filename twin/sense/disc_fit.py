@@ -510,6 +510,8 @@ class DiscFit(SoftWindow):
         hides = like & (cut[rows] | (part[:, SHORTFALL] > 0.0)) & (moved < 2.0 * radius[rows])
         good = hides & (part[:, FITTING] > LEAST_PART) & (part[:, STEP] < PART_SETTLED_PX)
         good &= (part[:, VARIANCE] < WORST_PART_PX**2).all(axis=1)
+        # an outline that lacks as much by itself misleads where only a part of it is in sight
+        good &= cut[rows] | ~(templates.rest[rows, SHORTFALL] > HIDES)
         # `_judge` refuses what hides too much; good fits it takes for whole ones.
         refused = rows[hides | cut[rows]]
         fitted[refused, SHORTFALL], fitted[refused, FITTING] = 1.0, 0.0
