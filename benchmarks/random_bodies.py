@@ -261,7 +261,7 @@ def drawn_press(kind: str, rng: Random, folder: Path, half: float, height: float
             {"move_mm": {"x": float(rng.normal(0, 0.3 * depth)), "y": 0.0}, "turn_deg": float(rng.normal(0, 1))}
         )
     made = {"probe": probe, "at_mm": at, "tilt_deg": tilt, "friction": friction, "steps": steps}
-    return made | ({"direction": "normal"} if rng.random() < 0.3 else {})
+    return made | ({"direction": "normal", "axes": "probe"} if rng.random() < 0.3 else {})
 
 
 def drawn(number: int, folder: Path) -> tuple[str, Table]:

@@ -5,13 +5,13 @@ import warnings
 
 import numpy as np
 import pytest
-from presses import STUCK, HalfSpace, ball, down, pressed, punch
+from presses import STUCK, HalfSpace, ball, down, face, pressed, punch
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk, j0, j1
 
 from twin.errors import AccuracyWarning
 from twin.parts.press import Step
-from twin.study.recipe import load_scene
+from twin.study.recipe import load_scene, validate_scene
 from twin.study.sensor import Sensor
 
 MORE = np.diag([2e-3, 2e-3, 1e-2])
@@ -70,6 +70,31 @@ def test_patches_that_stick_as_a_whole_leave_an_error_sideways(across):
     sideways = 8.0 * math.sqrt(10 * 0.05) / 3.0 * 0.02 / 1.5
     off = abs(state.force_n[0] - sideways) / np.linalg.norm(state.force_n)
     assert off < state.error.patches.force < 5.0 * off
+
+
+def test_patches_cut_the_border_of_a_wide_contact_on_thin_rubber():
+    """A ball that sticks to a layer as thick as the contact's radius."""
+
+    def on_gel(across):
+        pad = {"shape": "block", "width_mm": 132.0, "length_mm": 118.0, "thickness_mm": 3.09}
+        ball_on_it = {"probe": {"kind": "sphere", "diameter_mm": 88.0}, "at_mm": [-7.8, -5.7],
+                      "friction": 1.0, "steps": [{"move_mm": {"z": 0.137}}]}  # fmt: skip
+        return Sensor(validate_scene({
+            "body": pad, "material": {"youngs_modulus_mpa": 0.8, "poisson_ratio": 0.49},
+            "press": ball_on_it, "tolerance": {"preset": "none"},
+            "accuracy": {"displacement": 0.02, "contact_patches": across},
+        }, "thin")).press()  # fmt: skip
+
+    state = on_gel(12)
+    off, _ = relative(on_gel(24), state)
+    assert off < state.error.force < 3.0 * off
+
+
+def test_a_corner_that_patches_cut_is_off_by_more_than_a_rim():
+    wanted = face(3.0, tilt_deg=(-13.0, -19.0, 0.0), indentation_mm=0.1)
+    state = pressed(wanted, across=10)
+    off, _ = relative(pressed(wanted, across=28), state)
+    assert off < state.error.force < 3.0 * off
 
 
 def test_two_probes_tell_the_larger_error():
