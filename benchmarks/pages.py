@@ -591,7 +591,18 @@ def _inclusions() -> dict[str, str]:
 
 def _stability() -> dict[str, str]:
     names = ("random_scenes", "fuzz", "kills", "endurance")
-    return {"results": "\n".join(["", *(_long_run(name, read(name)) for name in names)])}
+    bodies: list[Row] = []
+    for row in stored("random_bodies"):
+        if off := row.get("off"):
+            stated = row["stated"]
+            what = max(("force", "indentation"), key=stated.__getitem__)
+            bodies.append({"case": f"{row['number']}: {row['what']}", "of the": what, "stated": stated[what],
+                           "off": off[what], "tractions stated": stated["traction"],
+                           "tractions off": off["traction"]})  # fmt: skip
+    return {
+        "bodies": "\n" + folded(f"The {len(bodies)} new bodies that were compared", table(bodies)) + "\n\n",
+        "results": "\n".join(["", *(_long_run(name, read(name)) for name in names)]),
+    }
 
 
 def _long_run(name: str, found: Row) -> str:
