@@ -270,7 +270,31 @@ FIELDS = Room(
     ),
 )
 
-ROOMS = (SENSORS, CONTACTS, RUBBER, CAMERAS, FIELDS)
+DESIGNS = Room(
+    "Designs: which depth and pitch to cast",
+    "What a sweep screens designs by before it makes pictures of the best ones ([sweeps](../sweeps.md)).",
+    (
+        Plate(
+            "sweep",
+            "Least distance at which two pushes are resolved, and noise of the total force (0.4 mm markers).",
+            """
+            from twin.study.sweep.designs import Designs, load_sweep
+            from twin.study.sweep.fidelities import closed
+            designs = Designs.of(*load_sweep("sweep_kamiyama_depth_pitch"))
+            found = closed(designs)[0]
+            wide = designs.numbers("markers.*.diameter_mm", 0) == 0.4
+            depth, pitch = (designs.numbers(key, 0)[wide] for key in ("markers.blue.depth_mm", "markers.*.pitch_mm"))
+            figure, axes = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
+            for ax, key, title in zip(axes, ("two_point_mm", "resolution_gf"), ("two points (mm)", "force noise (gf)")):
+                drawn = ax.tricontourf(depth, pitch, found[key][wide], cmap="cividis_r")
+                ax.set(xlabel="depth of the blue layer (mm)", ylabel="pitch (mm)", title=title)
+                figure.colorbar(drawn)
+            """,
+        ),
+    ),
+)
+
+ROOMS = (SENSORS, CONTACTS, RUBBER, CAMERAS, FIELDS, DESIGNS)
 
 PAPERS = {
     "reproduction_limits": "What limits each sensor: the width of a narrow force, with one thing changed at a time.",
@@ -290,6 +314,11 @@ def make_gallery(folder: Path) -> None:
         text += [f"## {room.title}", room.said]
         for plate in room.plates:
             text += [plate.said, _shown(plate, folder)]
+    text += [
+        "## By hand",
+        "`twin run kamiyama_pillar --live`: move the probe by keys or by dragging ([Live](../live.md)).",
+    ]
+    text += ["![Page with the camera's picture, both force fields, sliders and errors](../live.webp)"]
     text += ["## Papers", "`twin reproduce all` makes these and all others ([Reproduction](../reproduction.md))."]
     text += [f"{said}\n\n![{said}](../{name}.svg)" for name, said in PAPERS.items()]
     text += ["## Bodies", "Turn them in the browser:"]
