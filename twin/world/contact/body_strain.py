@@ -21,9 +21,11 @@ linear theory, and `BodyStrain.error` states what is amiss with it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -78,6 +80,9 @@ _FINE = _Fineness(0.85, 0.8, 0.3, (4, 2))
 _COARSE = _Fineness(1.1, 0.9, 0.4, (3, 1))
 """The mesh of the displacement, and the one that estimates its error."""
 
+_WAY = 0.4
+"""Most that a probe with friction moves sideways in a part of a step, over its contact's radius."""
+
 _LEAST_RIM = 0.1
 """Least radius of a flat face's rim over its half width: a sharper one is solved with this radius,
 on which what linear theory leaves out hardly depends (docs/validity.md)."""
@@ -87,7 +92,10 @@ _TOLERANCE = 1e-3
 
 _ERROR_OVER_CHANGE = 1.1
 _FLAT_OVER_CHANGE = 1.5
-"""The error over the change to the coarser mesh, and that under a flat face (docs/validity.md)."""
+_RUBS_OVER_CUBE = 14.0
+"""The error over the change to the coarser mesh, that under a flat face (docs/validity.md), and
+what friction adds over the cube of what linear theory leaves out: both meshes miss what rubber does
+that is held and stretched far."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +161,9 @@ class BodyStrain(FiniteStrain):
             (approach, [_place(_probes(there)[number]) for there in touching])
             for number, approach in enumerate(approaches)
         ]
+        if self._rubs:  # a long slide touches between the ends of its steps, too
+            approach, near = self._contacts[0]
+            self._contacts = [(approach, _filled(near))]
         if like is not None:
             self._contacts = like._contacts
         if len(watched) == 0:  # below the contact, up to its radius deep
@@ -167,13 +178,18 @@ class BodyStrain(FiniteStrain):
     @cached_property
     def error(self) -> Share:
         """How far this may be off; where a probe with friction is guided, it keeps the force of
-        linear theory."""
+        linear theory, and much stretched rubber adds to the error."""
         if not self._rubs:
             return super().error
+        found = super().error
         along = slice(0, Z + 1)
         force = self._pair.linear.force[0, along]
         guided = self._pair.finite.force[0, along] - force
-        return replace(super().error, force=float(np.linalg.norm(guided) / np.linalg.norm(force)))
+        return replace(
+            found,
+            force=float(np.linalg.norm(guided) / np.linalg.norm(force)),
+            markers=found.markers + _RUBS_OVER_CUBE * self.linear_error**3,
+        )
 
     def _solved(self, coarser: bool) -> _Pair:
         """Return both solutions on a mesh; where a press is nearly equal, on its own."""
@@ -271,11 +287,19 @@ class BodyStrain(FiniteStrain):
             linear, finite, first = like.linear, like.finite, self._number
         for number in range(first, self._number + 1):
             parts = fineness.parts[min(number, 1)]
+            if number:
+                parts = max(parts, math.ceil(self._way(number) / _WAY))
             try:
                 linear, finite = self._one_step(contact, number, parts, linear, finite)
             except NotSettled:
                 linear, finite = self._one_step(contact, number, 3 * parts, linear, finite)
         return linear, finite
+
+    def _way(self, number: int) -> float:
+        """Return how far the probe moves sideways in a step, over its contact's radius."""
+        before, after = self._path[number - 1], self._path[number]
+        moved = self.axes[0][:Z] @ (after.move_mm - before.move_mm)
+        return float(np.linalg.norm(moved)) / after.contact_radius_mm
 
     def _one_step(
         self,
@@ -296,13 +320,14 @@ class BodyStrain(FiniteStrain):
             guess = self._grown(contact, linear, share) if number == 0 else linear
             to = LAST_STEP if part == parts else PART_STEP
             linear = contact.rubbed(linear, guess, by_force, now, to, linear=True)
-            pressure = finite.pressure + (linear.pressure - last.pressure) * contact.lift
-            guess = replace(
-                finite,
-                unknowns=finite.unknowns + linear.unknowns - last.unknowns,
-                pose=finite.pose + linear.pose - last.pose,
-                pressure=np.maximum(pressure, 0.0),
-            )
+            guess = replace(finite, pose=finite.pose + linear.pose - last.pose)
+            if np.array_equal(linear.slid_mm, last.slid_mm):
+                pressure = finite.pressure + (linear.pressure - last.pressure) * contact.lift
+                guess = replace(
+                    guess,
+                    unknowns=finite.unknowns + linear.unknowns - last.unknowns,
+                    pressure=np.maximum(pressure, 0.0),
+                )
             finite = contact.rubbed(finite, guess, by_force, now, to, linear=False)
         return linear, finite
 
@@ -369,6 +394,16 @@ def _place(state: ContactState) -> tuple[Floats, float]:
     patches = state.patches
     assert patches is not None
     return np.asarray(patches.centre_mm.mean(axis=0)), state.contact_radius_mm
+
+
+def _filled(near: list[tuple[Floats, float]]) -> list[tuple[Floats, float]]:
+    """Return middles and radii of contacts with more on the way, none a radius from the next."""
+    found = near[:1]
+    for (before, small), (after, size) in pairwise(near):
+        count = math.ceil(float(np.linalg.norm(after - before)) / min(small, size))
+        for share in np.arange(1, count + 1) / max(count, 1):
+            found.append((before + share * (after - before), small + share * (size - small)))
+    return found
 
 
 def _too_slow(press: Press, body: Body) -> str:

@@ -71,9 +71,14 @@ _NUDGE_MM = 1e-4
 _BESIDE_FACE = 0.1
 """Points so far outside a flat face's outline, over its smaller half width, may come under it."""
 
-_SLIDES = 8
+_ALL_SLIP = 0.8
+_ANCHORED = 0.98
+_SLIDES = 16
 _SLID_MM = 1e-4
-"""How often a slide of a probe as a whole is corrected, and how well it is known then."""
+_SLID_MOST_MM = 2e-3
+"""Share of the force on points that slip where a probe slides as a whole, and of that on anchored
+ones before this is looked at; how often such a slide is corrected, how well it is known then, and
+at least."""
 
 _STEEPEST = 0.05
 """A probe's surface whose normal has a smaller part along its way doesn't touch."""
@@ -242,13 +247,16 @@ class _Anchors:
     on: Bools  # (q,) which do
     place: Floats  # (q, 3) mm: on the probe, see `SurfaceTouch.place`
     closed: Floats  # (q,) linear gap of those, had they always moved with the probe, mm
+    shape: Floats  # (q,) gap of the probe's shape where it had slid to when they touched, mm
 
     @classmethod
     def none(cls, count: int) -> _Anchors:
-        return cls(np.zeros(count, bool), np.zeros((count, 3)), np.zeros(count))
+        return cls(
+            np.zeros(count, bool), np.zeros((count, 3)), np.zeros(count), np.full(count, np.inf)
+        )
 
     def of(self, rows: slice) -> _Anchors:
-        return _Anchors(self.on[rows], self.place[rows], self.closed[rows])
+        return _Anchors(self.on[rows], self.place[rows], self.closed[rows], self.shape[rows])
 
 
 class SurfaceTouch:
@@ -333,20 +341,11 @@ class SurfaceTouch:
         slope = np.where(np.arange(MOTIONS) == Z, slope, -self._along)
         return gap - self._along @ (pose - lowered), slope
 
-    def anchored_gap(self, pose: Floats, slid_mm: Floats) -> Floats:
-        """Return the gap at place 0 of points that touch at a place and move with the probe, less
-        what its slide as a whole changed."""
+    def anchored_gap(self, pose: Floats, slid_mm: Floats) -> tuple[Floats, Floats]:
+        """Return the gaps (q,) at place 0 of points that touch at a place and move with the probe,
+        and those of the probe's shape at first touch where it slid to."""
         gap = self.rest_gap(pose, slid_mm)[0] + self._along @ pose
-        return np.asarray(gap - self._slid_gap(slid_mm))
-
-    def _slid_gap(self, slid_mm: Floats) -> Floats:
-        """Return (q,) by how much a slide as a whole changes the gaps."""
-        if not slid_mm.any():
-            return np.zeros(len(self.rest_mm))
-        none = np.zeros(MOTIONS)
-        first, after = self.rest_gap(none)[0], self.rest_gap(none, slid_mm)[0]
-        finite = np.isfinite(first)
-        return np.where(finite, after - np.where(finite, first, 0.0), 0.0)
+        return gap, self.rest_gap(np.zeros(MOTIONS), slid_mm)[0]
 
     def meet(
         self,
@@ -366,8 +365,11 @@ class SurfaceTouch:
         none = np.zeros((len(shift), 3, 3))
         if linear:
             gap, slope = self.rest_gap(pose, slid_mm)
-            closed = anchors.closed + self._slid_gap(slid_mm)
-            gap = np.where(anchors.on, closed - self._along @ pose, gap)
+            now = self.rest_gap(np.zeros(MOTIONS), slid_mm)[0]
+            since = np.where(
+                np.isfinite(anchors.shape), now - np.nan_to_num(anchors.shape, posinf=0.0), 0.0
+            )
+            gap = np.where(anchors.on, anchors.closed + since - self._along @ pose, gap)
             slope = np.where(anchors.on[:, None], -self._along, slope)
             return _Met(
                 gap=gap + np.einsum("qi,qi->q", self.inward, shift),
@@ -529,27 +531,51 @@ class RubberContact:
         # The friction of the first few points doesn't hold it either.
         held, wanted = upright if first and to == PART_STEP else (by_force, given)
         after = self.settled(start, held, wanted, to, linear=linear)
-        for _ in range(_SLIDES):
-            slid = self._common_slide(before, after) if linear else np.zeros((1, Z))
-            if not slid.any() or np.abs(slid).max() < _SLID_MM:
-                break
-            start = replace(after, anchors=start.anchors, slid_mm=before.slid_mm + slid)
-            after = self.settled(start, held, wanted, to, linear=linear)
+        if linear:
+            after = self._slid_there(before, after, held, wanted, to)
         return self._dragged(after, linear=linear)
 
-    def _common_slide(self, before: Equilibrated, after: Equilibrated) -> Floats:
-        """Return (p, 2) how far a linear solution's probes slid as a whole in a part of a step: not
-        at all where a point sticks that touched before."""
-        slides = np.zeros_like(before.slid_mm)
+    def _slid_there(
+        self, before: Equilibrated, after: Equilibrated, held: Bools, wanted: Floats, to: float
+    ) -> Equilibrated:
+        """Return the end of a part of the linear solution where the probes slid to as a whole."""
+        goes = False
+        for _ in range(_SLIDES):
+            slid = self._slid(before, after)
+            force = after.pressure * self._area
+            if force @ after.anchors.on < _ANCHORED * force.sum():
+                slid = after.slid_mm  # first friction on points that it slid to
+            elif np.abs(slid - after.slid_mm).max() < _SLID_MM:
+                return after
+            elif goes and np.array_equal(slid, before.slid_mm):
+                slid = (slid + after.slid_mm) / 2.0  # it stuck by going too far
+            goes |= not np.array_equal(slid, before.slid_mm)
+            start = replace(self._anchored(before, after, linear=True), slid_mm=slid)
+            after = self.settled(start, held, wanted, to, linear=True)
+        if np.abs(self._slid(before, after) - after.slid_mm).max() < _SLID_MOST_MM:
+            return after
+        raise NotSettled(
+            "contact: the probe slides, and where it slides to does not settle: take smaller steps"
+        )
+
+    def _slid(self, before: Equilibrated, after: Equilibrated) -> Floats:
+        """Return (p, 2) how far a linear solution's probes slid as a whole so far, counted as by
+        `twin.world.contact.contact_problem.FrictionalContact.slid` from the rubber that they carry
+        along; not further in a part of a step where points stick that touched before, but for a few
+        that carry little."""
+        slid = before.slid_mm.copy()
         moved = self.rubber.displacement(after.unknowns)
-        rub = self._rub(self._meet(moved, after.pose, after, linear=True), after.anchors)
         for number, (touch, rows) in enumerate(zip(self.touches, self.rows, strict=True)):
             on = before.anchors.on[rows] & (after.pressure[rows] > 0.0)
-            if on.any() and after.slips[rows][on].all():
-                slip = rub.slipped[rows][on] @ touch.axes[:Z].T
-                size = np.hypot(slip[:, 0], slip[:, 1])
-                slides[number] = -slip[size <= 1.1 * size.min()].mean(axis=0)
-        return slides
+            force = (after.pressure * self._area)[rows][on]
+            if force @ after.slips[rows][on] > _ALL_SLIP * force.sum():
+                behind = touch.place(moved, after.pose[number], linear=True)[on]
+                normal = touch.inward[on]
+                behind -= np.einsum("qi,qi->q", behind, normal)[:, None] * normal
+                length = np.linalg.norm(behind, axis=1)
+                least = length <= length.min() + 0.1 * np.ptp(length)
+                slid[number] = -touch.axes[:Z] @ behind[least].mean(axis=0)
+        return slid
 
     def _dragged(self, state: Equilibrated, *, linear: bool) -> Equilibrated:
         """Return a state whose slipping points are anchored where they slipped to."""
@@ -751,6 +777,7 @@ class RubberContact:
         first = self.rubber.displacement(before.unknowns)
         last = self.rubber.displacement(free.unknowns)
         place, closed = before.anchors.place.copy(), before.anchors.closed.copy()
+        shape = before.anchors.shape.copy()
         for number, (touch, rows) in enumerate(zip(self.touches, self.rows, strict=True)):
             new = (free.pressure[rows] > 0.0) & ~before.anchors.on[rows]
             if not new.any():
@@ -768,6 +795,8 @@ class RubberContact:
             end = touch.place(last, free.pose[number], linear=linear)
             held = start + way[:, None] * (end - start)
             place[rows] = np.where(new[:, None], held, place[rows])
-            closed[rows] = np.where(new, touch.anchored_gap(free.pose[number], slid), closed[rows])
+            gap, there = touch.anchored_gap(free.pose[number], free.slid_mm[number])
+            closed[rows] = np.where(new, gap, closed[rows])
+            shape[rows] = np.where(new, there, shape[rows])
             on[rows] |= new
-        return replace(free, anchors=_Anchors(on, place, closed))
+        return replace(free, anchors=_Anchors(on, place, closed, shape))
