@@ -87,6 +87,8 @@ from twin.sense.template import (
     UNEVEN,
     UNUSUAL,
     VAR_TILTED,
+    VAR_X,
+    VAR_Y,
     VARIANCE,
     Templates,
     slope_terms,
@@ -322,7 +324,7 @@ class DiscFit(SoftWindow):
             )
         taken = fitted[:, RESHAPED] == OWN_SHAPE
         # What most markers of this picture lack of the model hides none of them.
-        now = max(_quantile(misfit, USUAL), templates.usual_misfit)
+        now = max(_quantiles(misfit, USUAL)[0], templates.usual_misfit)
         templates = replace(templates, usual_misfit=now)
         doubted &= taken | cut | self._unusual(fitted, misfit, now)[1]
         if doubted.any():
@@ -425,6 +427,8 @@ class DiscFit(SoftWindow):
         height, width = self.look.picture_px
         cut = ~((fitted[:, EDGE] >= WHOLE_EDGE) & (fitted[:, SCALE] >= SHRUNK))
         rows = np.flatnonzero(cut)
+        if not len(rows):
+            return cut
         place = np.stack([fitted[rows, CENTRE], start_px[rows]])
         gap = np.fmin(place + 0.5, [width - 0.5, height - 0.5] - place)
         gap = np.fmin.reduce(gap, axis=(0, 2))
@@ -440,11 +444,11 @@ class DiscFit(SoftWindow):
         templates, scale = self.templates, fitted[:, SCALE]
         odd = misfit > UNUSUAL * np.fmax(templates.rest[:, MISFIT], now)
         fits = fitted[:, FITTING] / templates.rest[:, FITTING]
-        low, middle, high = (_quantile(scale, share) for share in (0.25, 0.5, 0.75))
+        low, middle, high = _quantiles(scale, 0.25, 0.5, 0.75)
         least = middle - SMALLER * max(NORMAL * (high - low), LEAST_SPREAD)
-        doubted = odd | (fits < FITS * min(_quantile(fits, 0.5), 1.0)) | (scale < least)
+        doubted = odd | (fits < FITS * min(_quantiles(fits, 0.5)[0], 1.0)) | (scale < least)
         if not templates.coherent:
-            square = ((fitted[:, THIRD] - templates.third) ** 2).sum(axis=1)
+            square = _square(fitted[:, THIRD] - templates.third)
             doubted |= square > 2.0 * UNEVEN**2 * (fitted[:, VARIANCE].sum(axis=1))
         lacked = np.fmax(templates.rest[:, MISFIT] - RESHAPES * templates.usual_misfit, 0.0)
         return odd, doubted & (misfit > now + SHADOW_MOVES * lacked)
@@ -503,7 +507,7 @@ class DiscFit(SoftWindow):
         # A fit that leaves no more than the noise, finds something hidden, and is certain, is good.
         limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part[:, PIXELS], 1.0))
         if fine.any():
-            worst = _quantile(fitted[fine, MISFIT], WORST_FITS) / templates.usual_misfit
+            worst = _quantiles(fitted[fine, MISFIT], WORST_FITS)[0] / templates.usual_misfit
             limit = np.where(cut[rows], np.fmax(limit, worst), limit)
         moved = np.hypot(*(part[:, CENTRE] - start).T)
         like = part[:, MISFIT] < limit * templates.usual_misfit
@@ -594,10 +598,10 @@ class DiscFit(SoftWindow):
         shrunk = fitted[:, SCALE] / rest[:, SCALE]
         shrunk = np.sqrt(shape[:, 0] * shape[:, 2]) * (1.0 - shrunk)
         shrunk[~np.isfinite(sd)] = np.nan
-        low, middle, high = (_quantile(shrunk, share) for share in (0.25, 0.5, 0.75))
+        low, middle, high = _quantiles(shrunk, 0.25, 0.5, 0.75)
         limit = np.fmax(NORMAL * (high - low), sd / np.sqrt(2.0))
         away = shrunk - middle
-        if NORMAL * (high - low) > np.sqrt(2.0) * _quantile(sd, 0.5):  # not by noise alone
+        if NORMAL * (high - low) > np.sqrt(2.0) * _quantiles(sd, 0.5)[0]:  # not by noise alone
             rows = np.flatnonzero(away > SHRINKS * sd / np.sqrt(2.0))
             usual, spread = _of_neighbours(away[:, None], np.isfinite(away), self.around, rows)
             away[rows] -= usual[:, 0]
@@ -607,10 +611,16 @@ class DiscFit(SoftWindow):
         return np.asarray(2.0 * np.fmax(beyond, 0.0))
 
 
-def _quantile(values: Floats, share: float) -> float:
-    """Return which of the ``values`` (n,) this share is below; NaN where all are."""
+def _quantiles(values: Floats, *shares: float) -> list[float]:
+    """Return which of the ``values`` (n,) these shares are below; NaN where all are."""
+    ranked = np.sort(values)  # NaN come last
     last = max(int(np.isfinite(values).sum()) - 1, 0)
-    return float(np.sort(values)[round(share * last)])  # NaN come last
+    return [float(ranked[round(share * last)]) for share in shares]
+
+
+def _square(vectors: Floats) -> Floats:
+    """Return (n,) the squared lengths of vectors (n, 2)."""
+    return np.asarray(vectors[:, 0] ** 2 + vectors[:, 1] ** 2)
 
 
 def _medians(values: Floats, axis: int) -> Floats:
@@ -647,7 +657,7 @@ def _centre_sds(fitted: Floats, usual_misfit: float) -> Floats:
     """Return (n,) standard deviations of fitted centres, per axis, px: the noise's, more where the
     fit is bad; NaN where there was none."""
     bad = np.maximum(fitted[:, MISFIT] / usual_misfit - UNUSUAL, 0.0)
-    variance = 0.5 * (fitted[:, VARIANCE].sum(axis=1))
+    variance = 0.5 * (fitted[:, VAR_X] + fitted[:, VAR_Y])
     return np.asarray(np.sqrt(variance * (1.0 + DOUBT * bad) + SD_FLOOR_PX**2))
 
 
@@ -681,11 +691,12 @@ def _edge_sds(
     """
     rest, limit = templates.rest, factor if factor > COHERENT else 1.0
     # How far the centre moves when one side of its edge is left out, beyond chance.
-    moved = np.zeros(len(fitted))
+    beyond = np.where(np.isnan(rest_sd), np.nan, 0.0)
     looked = np.flatnonzero(np.isfinite(fitted[:, ONE_SIDED]))
-    change = np.abs(fitted - rest)[looked, ONE_SIDED:RESHAPED]
-    moved[looked] = np.where(np.isfinite(change), change, 0.0).max(axis=1)
-    beyond = np.maximum(moved**2 - 2.0 * (CHANCE * limit * rest_sd) ** 2, 0.0)
+    if len(looked):
+        moved = fitted[looked, ONE_SIDED:RESHAPED] - rest[looked, ONE_SIDED:RESHAPED]
+        square = np.fmax.reduce(moved**2, axis=1, initial=0.0)
+        beyond[looked] = np.maximum(square - 2.0 * (CHANCE * limit * rest_sd[looked]) ** 2, 0.0)
     part = fitted[:, RESHAPED] == PART_IN_SIGHT
     if part.any():
         # residuals of a part in sight count in its deviation already, and not twice
@@ -694,11 +705,11 @@ def _edge_sds(
         beyond[part] = np.nan_to_num(np.abs(rest[part, ONE_SIDED:RESHAPED])).max(axis=1) ** 2
     sd = factor * sd
     # A third harmonic of the edge that it did not have at rest: something hidden.
-    uneven = ((fitted[:, THIRD] - templates.third) ** 2).sum(axis=1)
+    uneven = _square(fitted[:, THIRD] - templates.third)
     beyond += np.fmax(uneven - (EVEN * sd) ** 2, 0.0) * templates.third_weakened**2
     # A slope of brightness that it did not have at rest: a shadow that moves over the marker.
-    tilted = ((fitted - rest)[:, TILTED] ** 2).sum(axis=1)
-    noisier = _quantile(fitted[:, MISFIT], USUAL) / templates.usual_misfit
+    tilted = _square(fitted[:, TILTED] - rest[:, TILTED])
+    noisier = _quantiles(fitted[:, MISFIT], USUAL)[0] / templates.usual_misfit
     chance = fitted[:, VAR_TILTED] * max(noisier, 1.0) + rest[:, VAR_TILTED]
     tilted = np.fmax(tilted - chance * (LEVEL_TILT * limit) ** 2, 0.0)
     if not templates.coherent:  # a shape of its own, of another noise: maybe compressed since
