@@ -64,10 +64,11 @@ def test_pixels_row_by_row_are_those_one_by_one(radius, others):
     offset, runs = disc(radius)
     plain, fast = np.zeros((2, 2, offset.shape[1] + LANES), np.float32)
     own = tuple(np.array([1.0, -0.25, 0.5, 3.0], np.float32))
+    sites = np.array([[1.0, 0.0], [0.0, 1.0]] if others else np.ones((2, 2)), np.float32)
     for column in range(0, 70, 3):
         for row in range(0, 60, 3):
             for way, (signal, use) in ((runs[:0], plain), (runs, fast)):
-                gather(image, own, limits, column, row, offset, way, signal, use)
+                gather(image, own, limits, sites, column, row, offset, way, signal, use)
             seen = plain[1, :-LANES] > 0
             np.testing.assert_array_equal(fast[1, :-LANES] > 0, seen)
             np.testing.assert_allclose(fast[0, :-LANES][seen], plain[0, :-LANES][seen], rtol=1e-6, atol=1e-4)

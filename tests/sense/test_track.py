@@ -506,10 +506,16 @@ def of_a_mosaic(image, seed):
 
 @pytest.mark.parametrize(
     ("camera", "diameter", "largest"),
-    [(of_rows, 10.0, 0.04), (with_hot_pixels, 10.0, 0.01), (in_other_light, 10.0, 0.013), (of_a_mosaic, 6.0, 0.08)],
+    [
+        (of_rows, 10.0, 0.04),
+        (with_hot_pixels, 10.0, 0.01),
+        (in_other_light, 10.0, 0.013),
+        (of_a_mosaic, 6.0, 0.04),
+        (of_a_mosaic, 10.0, 0.024),
+    ],
 )
 def test_noise_of_rows_hot_pixels_and_other_light_are_stated(camera, diameter, largest):
-    """Ratios were 1.6 and 3.4, hot pixels lost a layer; a mosaic's slopes are the same for all markers of a grid."""
+    """Ratios were 1.6 and 3.4, hot pixels lost a layer; a mosaic at 10 px .042 px off, by interpolated pixels."""
     card = Card(diameter)
     rest = analyse_rest(camera(card.draw(), 1), card.layout)
     shifts = [card.shifts(seed) for seed in (3, 4, 5)]

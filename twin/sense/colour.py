@@ -17,7 +17,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Floats, Ints, Picture, Pixels
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels
 from twin.compiled import njit
 from twin.errors import InputError
 
@@ -100,6 +100,51 @@ def colour_blocks(picture: Picture) -> tuple[int, int] | None:
             return None
         first.append(int(odd < even))
     return first[0], first[1]
+
+
+MEASURED, AMBIGUOUS = 0.97, 0.9
+"""Share of the pixels that are the mean of their neighbours, to the last count, in a channel that
+was interpolated between the sites of a mosaic; where other places of the mosaic fit a picture as
+well, there is too little noise to know."""
+
+
+def mosaic_sites(picture: Picture) -> Bools | None:
+    """Return (3, 2, 2) which pixels, by parity of row and column, a camera's colour mosaic (Bayer)
+    has measured in each channel, if the others are interpolated linearly; None if not.
+
+    Why: what is interpolated has the lens' blur and the neighbours' mean, and its noise is theirs.
+    Fits to the measured pixels alone have no such errors.
+    """
+    levels = picture[:, :, ::2].astype(np.int16)
+    # by parity of row and column: the least share of red and blue between their neighbours' means
+    across, down = _between(levels), _between(levels.transpose(1, 0, 2)).transpose(1, 0, 2)
+    fits = np.empty((2, 2))
+    for r in range(2):
+        for c in range(2):
+            red = across[r, 1 - c, 0], down[1 - r, c, 0]
+            blue = across[1 - r, c, 1], down[r, 1 - c, 1]
+            fits[r, c] = min(*red, *blue)
+    best = np.sort(fits.ravel())
+    if best[-1] < MEASURED or best[-2] > AMBIGUOUS:
+        return None
+    row, column = np.unravel_index(fits.argmax(), fits.shape)
+    sites = np.zeros((3, 2, 2), np.bool_)
+    sites[0, row, column] = sites[2, 1 - row, 1 - column] = True
+    sites[1] = ~(sites[0] | sites[2])
+    return sites
+
+
+def _between(levels: NDArray[np.int16]) -> Floats:
+    """Return (2, 2, q) the share of pixels, by parity of row and column, that are the mean of those
+    to the left and right, for ``levels`` (h, w, q)."""
+    shares = np.zeros((2, 2, levels.shape[2]))
+    for column in range(2):
+        places = np.arange(2 - column, levels.shape[1] - 1, 2)
+        off = 2 * levels[:, places] - levels[:, places - 1] - levels[:, places + 1]
+        for row in range(2):
+            if off[row::2].size:
+                shares[row, column] = (np.abs(off[row::2]) <= 1).mean(axis=(0, 1))
+    return shares
 
 
 BLOCK = 8

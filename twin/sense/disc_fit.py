@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kernel
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, for_kernel
 from twin.compiled import njit
 from twin.sense.centre import (
     AREA_RATIO,
@@ -48,6 +48,7 @@ from twin.sense.rest_templates import (
     LINEAR,
     OUTLYING,
     USUAL,
+    LayerSignal,
     bounded_rms,
     layer_signals,
     make_templates,
@@ -185,6 +186,10 @@ MORE_UNUSUAL = 1.12
 """Largest factor by which residuals are usual where most markers have changed their shape: larger
 outlines reach over more of the ground's texture."""
 
+LEAST_COHERENCE, SURE = 0.8, 50
+"""How many times less than from single pixels' noise errors may be, and from how many markers'
+edges that is taken."""
+
 LEAST_SCORES = 4
 """From so many numbers on a median is taken."""
 
@@ -216,10 +221,10 @@ class DiscFit(SoftWindow):
         marks = np.concatenate(places)
         groups = []
         for spot, signal in zip(spots, layer_signals(picture, looks, places, given), strict=True):
-            group = cls._by(picture, spot, signal.own, signal.others, marks)
+            group = cls._by(picture, spot, signal, marks)
             # Compression keeps more of the brightness than of the colours: is that the better one?
             if signal.brightness is not None and group.templates.coherent:
-                rival = cls._by(picture, spot, signal.brightness, signal.others, marks)
+                rival = cls._by(picture, spot, replace(signal, own=signal.brightness), marks)
                 if rival.roughness_px < SMOOTHER * group.roughness_px:
                     group = replace(rival, templates=replace(rival.templates, coherent=True))
             groups.append(group)
@@ -233,18 +238,18 @@ class DiscFit(SoftWindow):
 
     @classmethod
     def _by(
-        cls, picture: Picture, spots: SoftWindow, own: Singles, others: Singles, marks: Pixels
+        cls, picture: Picture, spots: SoftWindow, signal: LayerSignal, marks: Pixels
     ) -> DiscFit:
-        """Make the templates of one layer's ``spots`` by the projection ``own``, and take the
-        centres of their fits for the rest positions."""
+        """Make the templates of one layer's ``spots``, and take the centres of their fits for the
+        rest positions."""
         templates, start = make_templates(
-            picture, own, others, spots.spot_px, spots.cut, spots.look.diameter_px, marks
+            picture, signal, spots.spot_px, spots.cut, spots.look.diameter_px, marks
         )
         around = Neighbourhood.of(start, spots.around.spacing_px)
         known = vars(spots) | {"around": around, "start_px": start}
         # Markers that the frame cuts are fitted by their part in sight.
         fitted = templates.fit(picture, start, around.lead)
-        here = cls(**known | {"templates": templates})
+        here = cls(**known | {"templates": replace(templates, rest=fitted.copy())})
         cut = here._cut(fitted, start)
         if cut.any():
             fitted[cut] = here._fit(picture, start, around.lead)[cut]
@@ -359,7 +364,7 @@ class DiscFit(SoftWindow):
         blur, largest = float(np.nanmedian(known[:, 6])), float(np.nanmax(radius))
         clear = max(self.around.spacing_px - largest - blur, largest + blur)
         reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
-        seen = (picture, templates.own, templates.others, places)
+        seen = (picture, templates.own, templates.others, templates.sites, places)
         bulge = float(np.nanmedian(known[:, 5]))
         shape = fit_shapes(*seen, radius, reach, templates.noise, blur, bulge, free_blur=True)
         shape[:, 3:6] = known[:, 3:6]
@@ -578,7 +583,8 @@ class DiscFit(SoftWindow):
         sd[np.isnan(shift[:, 0])] = np.nan
         factor = templates.ground_coherence
         if templates.coherent:
-            factor = max(_coherence(fitted, templates.third, state == SEEN, sd), factor)
+            coherence = _coherence(fitted, templates.third, state == SEEN, sd)
+            factor = max(coherence, factor) if factor > 1.0 else coherence
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
         cut = self._unseen_cut(fitted, factor * sd)
@@ -678,7 +684,12 @@ def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
     counts = seen & np.isfinite(moved[:, 0])
     if 2 * int(counts.sum()) < LEAST_SCORES:
         return 1.0
-    return bounded_rms(moved[counts] / sd[counts, None])
+    score = moved[counts] / sd[counts, None]
+    # Less noise than in single pixels, where shading passes for it, is shown by all of many edges.
+    least = 1.0
+    if counts.sum() >= SURE:
+        least = min(max(float(np.sqrt(np.mean(score**2))), LEAST_COHERENCE), 1.0)
+    return max(bounded_rms(score), least)
 
 
 def _edge_sds(

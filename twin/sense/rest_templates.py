@@ -22,7 +22,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Singles, for_kernel
 from twin.sense.centre import Look
-from twin.sense.colour import LUMA
+from twin.sense.colour import LUMA, mosaic_sites
 from twin.sense.shape_fit import fit_shapes
 from twin.sense.template import (
     CENTRE,
@@ -48,12 +48,20 @@ LEAST_LUMA = 0.2
 SHOWS, SHOWS_DN = 0.3, 4.0
 """Another layer shows where it has this share of its usual level, at least so many counts."""
 
+ONE_COLOUR = 0.75
+"""A layer shows in one colour if its projection has this share in it."""
+
 USUAL_BLUR_PX = 2.0
 """Half width of a sharp lens' blur with the pixel's, px (.75 px standard deviation): where the
 search starts."""
 
 SAMPLE = 40
 """About how many markers give the layer's blur and bulge."""
+
+EVERYWHERE = np.ones((2, 2), np.float32)
+
+ASIDE_PX, GAINS = 0.1, (0.7, 1.6)
+"""How far from a marker's centre a step is tried; what gains may be."""
 
 QUANTISED = 1 / 12
 """Variance of rounding to whole counts: no noise is less."""
@@ -96,11 +104,14 @@ class LayerSignal:
     brightness
         As ``own``, of the brightness, in which compression keeps more than in colours; None where
         the layer hardly shows in it, or the projection was given.
+    sites
+        See `Templates`: of a colour mosaic, where the layer shows in one colour.
     """
 
     own: Singles
     others: Singles
     brightness: Singles | None
+    sites: Singles
 
 
 def layer_signals(
@@ -140,7 +151,7 @@ def layer_signals(
         ]
         for weights, colour in zip(own, colours, strict=True)
     ]
-    signals = []
+    signals, mosaic = [], mosaic_sites(picture)
     for number, (weights, colour) in enumerate(zip(own, colours, strict=True)):
         bright = float(LUMA @ colour)
         in_brightness = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())
@@ -148,7 +159,14 @@ def layer_signals(
         if in_brightness and not given:
             brightness = with_ground(np.sign(bright) * LUMA / LUMA.max())
         others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
-        signals.append(LayerSignal(own=with_ground(weights), others=others, brightness=brightness))
+        channel = int(np.abs(weights).argmax())
+        one_colour = np.abs(weights[channel]) > ONE_COLOUR * np.abs(weights).sum()
+        sites = EVERYWHERE
+        if mosaic is not None and one_colour:
+            sites = mosaic[channel].astype(np.float32)
+        signals.append(
+            LayerSignal(own=with_ground(weights), others=others, brightness=brightness, sites=sites)
+        )
     return signals
 
 
@@ -171,8 +189,7 @@ def _marker_colour(picture: Picture, centres: Pixels, diameter: float) -> Floats
 
 def make_templates(
     picture: Picture,
-    own: Singles,
-    others: Singles,
+    layer: LayerSignal,
     spots_px: Pixels,
     cut: Bools,
     diameter_px: float,
@@ -184,8 +201,8 @@ def make_templates(
     ----------
     picture
         (h, w, 3) counts at rest.
-    own, others
-        See `Templates`.
+    layer
+        Its signal.
     spots_px, cut
         (n, 2) centres of the spots, px; (n,) which the picture's frame cuts: these have the others'
         outline.
@@ -201,10 +218,13 @@ def make_templates(
     start_px
         (n, 2) where their fits start at rest, px.
     """
+    own, others = layer.own, layer.others
     count, wanted = len(spots_px), np.isfinite(spots_px).all(axis=1)
     radius = np.where(wanted & ~cut, 0.5 * diameter_px, np.nan)
     # The noise in single pixels: a full marker's is never taken for less than the ground's.
-    variances = _noise_variances(picture, own, spots_px, 0.5 * diameter_px, USUAL_BLUR_PX)
+    variances = _noise_variances(
+        picture, own, layer.sites, spots_px, 0.5 * diameter_px, USUAL_BLUR_PX
+    )
     around, inside = variances.T
     ground = float(np.nanmedian(around)) if np.isfinite(around).any() else 1.0
     marker = float(np.nanmedian(inside)) if np.isfinite(inside).any() else ground
@@ -215,7 +235,7 @@ def make_templates(
         every = max(1, int(np.isfinite(radius).sum()) // SAMPLE)
         few = np.where(np.cumsum(np.isfinite(radius)) % every == 0, radius, np.nan)
         reach = 0.65 * diameter_px + 2.0 * USUAL_BLUR_PX + MARGIN_PX
-        seen = (picture, own, others, spots_px)
+        seen = (picture, own, others, layer.sites, spots_px)
         first = fit_shapes(*seen, few, reach, noise, USUAL_BLUR_PX, free_bulge=True, free_blur=True)
         good = np.isfinite(first[:, 0])
         blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
@@ -235,9 +255,11 @@ def make_templates(
     templates = Templates(
         own=own,
         others=others,
+        sites=layer.sites,
         shape=for_kernel(shape[:, :SHAPE]),
         ground=np.where(np.abs(shape[:, SHAPE + 2]) > 0.5 * shape[:, 7], shape[:, SHAPE + 2], 0.0),
         noise=noise,
+        gain=1.0,
         slopes=slopes,
         usual_misfit=1.0,
         level=shape[:, 7].copy(),
@@ -248,6 +270,8 @@ def make_templates(
     )
     # The rest picture fitted by its own templates gives ground, level and the usual misfit.
     fitted = templates.fit(picture, places)
+    templates = replace(templates, gain=_gain(picture, templates, fitted[:, CENTRE]))
+    fitted = templates.fit(picture, for_kernel(fitted[:, CENTRE]))
     misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
     usual = float(np.quantile(misfit, USUAL)) if len(misfit) else 1.0
     settled = replace(
@@ -259,6 +283,18 @@ def make_templates(
         ground_coherence=_ground_coherence(picture, templates, marks_px),
     )
     return settled, np.ascontiguousarray(fitted[:, CENTRE])
+
+
+def _gain(picture: Picture, templates: Templates, centres: Pixels) -> float:
+    """Return `Templates.gain`: the length of the first step back from places `ASIDE_PX` beside the
+    ``centres`` (n, 2), over the way back; the median over markers and axes."""
+    steps = []
+    for aside in (ASIDE_PX, -ASIDE_PX):
+        first = templates.fit(picture, for_kernel(centres + aside), turns=1)[:, CENTRE]
+        steps.append(1.0 - (first - centres) / aside)
+    gains = np.concatenate(steps)
+    gains = gains[np.isfinite(gains).all(axis=1)]
+    return float(np.clip(np.median(gains), *GAINS)) if len(gains) else 1.0
 
 
 def _share_slopes(shape: Floats, places: Pixels, good: Bools, size: Sequence[int]) -> Floats:
@@ -302,7 +338,12 @@ def smooth_gradient(values: Floats, places: Pixels, size: Sequence[int]) -> Floa
 
 
 def _noise_variances(
-    picture: Picture, own: Singles, centres: Pixels, radius: float, blur: float
+    picture: Picture,
+    own: Singles,
+    sites: Singles,
+    centres: Pixels,
+    radius: float,
+    blur: float,
 ) -> Floats:
     """Return (n, 2): variance of the noise around, and inside, every marker, from 2 x 2
     differences; NaN if none.
@@ -317,20 +358,31 @@ def _noise_variances(
     signal, use = np.empty((2, offset.shape[1]), np.float32)
     nothing = np.zeros((0, 4), np.float32)
     variances = np.full((len(centres), 2), np.nan)
+    # of a colour mosaic, differences of pixels that lie two apart: those of the same site
+    starts, apart = (
+        ([(0, 0)], 1) if sites.all() else (list(zip(*np.nonzero(sites), strict=True)), 2)
+    )
     for k in np.flatnonzero(np.isfinite(centres).all(axis=1)):
         column, row = (int(v) for v in np.rint(centres[k]))
-        gather(picture, tuple(own), nothing, column, row, offset, NO_RUNS, signal, use)
-        away = np.square(offset.T - (centres[k] - (column, row))).sum(axis=1)
-        here, away, use_ = (v.reshape(len(side), -1) for v in (signal, away / radius**2, use))
-        twist = here[:-1, :-1] - here[:-1, 1:] - here[1:, :-1] + here[1:, 1:]
-        # a difference belongs to the marker, or to the ground, with all four of its pixels
-        corners = [away[:-1, :-1], away[:-1, 1:], away[1:, :-1], away[1:, 1:]]
-        inside = np.maximum.reduce(corners) < inner
-        around = (np.minimum.reduce(corners) > outer) & ~inside
-        seen = (use_[:-1, :-1] > 0) & (use_[1:, 1:] > 0)
-        for which, part in enumerate((around & seen, inside & seen)):
-            if np.count_nonzero(part) > 2:
-                variances[k, which] = (0.25 * twist[part].astype(float) ** 2).mean()
+        gather(picture, tuple(own), nothing, EVERYWHERE, column, row, offset, NO_RUNS, signal, use)
+        away = np.square(offset.T - (centres[k] - (column, row))).sum(axis=1) / radius**2
+        squares: tuple[list[Floats], list[Floats]] = ([], [])
+        for down, right in starts:
+            first = slice((down - row + reach) % apart, None, apart)
+            then = slice((right - column + reach) % apart, None, apart)
+            here, far, used = (v.reshape(len(side), -1)[first, then] for v in (signal, away, use))
+            twist = here[:-1, :-1] - here[:-1, 1:] - here[1:, :-1] + here[1:, 1:]
+            # a difference belongs to the marker, or to the ground, with all four of its pixels
+            corners = [far[:-1, :-1], far[:-1, 1:], far[1:, :-1], far[1:, 1:]]
+            inside = np.maximum.reduce(corners) < inner
+            around = (np.minimum.reduce(corners) > outer) & ~inside
+            seen = (used[:-1, :-1] > 0) & (used[1:, 1:] > 0)
+            for which, part in enumerate((around & seen, inside & seen)):
+                squares[which].append(0.25 * twist[part].astype(float) ** 2)
+        for which in range(2):
+            square = np.concatenate(squares[which])
+            if len(square) > 2:
+                variances[k, which] = square.mean()
     return variances
 
 
@@ -338,7 +390,9 @@ def noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
     """Return (2,) the noise's variances in another picture than that at rest: never less, and more
     as the ground around the markers at ``places`` (n, 2), px, has more."""
     radius = float(np.sqrt(np.nanmedian(templates.shape[:, 0] * templates.shape[:, 2])))
-    variances = _noise_variances(picture, templates.own, places, radius, 2.0 * USUAL_BLUR_PX)
+    variances = _noise_variances(
+        picture, templates.own, templates.sites, places, radius, 2.0 * USUAL_BLUR_PX
+    )
     now = float(np.nanmedian(variances[:, 0])) if np.isfinite(variances[:, 0]).any() else 0.0
     return np.asarray(templates.noise * max(now / templates.noise[0], 1.0))
 
@@ -386,11 +440,14 @@ def _ground_coherence(picture: Picture, templates: Templates, marks: Pixels) -> 
     places = places[~covered[places[:, 1], places[:, 0]]]
     pixels = places[:, None] + offset
     use = ~covered[pixels[:, :, 1], pixels[:, :, 0]]
+    use &= templates.sites[pixels[:, :, 1] % 2, pixels[:, :, 0] % 2] > 0.0
     signal = picture[pixels[:, :, 1], pixels[:, :, 0]] @ templates.own[:3].astype(float)
     # Least squares at every place: what a marker there would have moved by.
     products = (slopes[:, :, None] * slopes[:, None, :]).reshape(len(slopes), -1)
     matrix = (use @ products).reshape(-1, 3, 3)
-    inside = matrix[:, [0, 1], [0, 1]].min(axis=1) > LEAST_FREE * products[:, 0].sum()
+    inside = matrix[:, [0, 1], [0, 1]].min(axis=1) > (
+        LEAST_FREE * templates.sites.mean() * products[:, 0].sum()
+    )
     if inside.sum() < QUADRATIC:
         return 1.0
     middle = np.median(signal[inside])

@@ -68,6 +68,7 @@ def fit_shapes(
     picture: Picture,
     own: Singles,
     others: Singles,
+    sites: Singles,
     start_px: Pixels,
     radius_px: Floats,
     reach_px: float,
@@ -82,7 +83,7 @@ def fit_shapes(
 
     Parameters
     ----------
-    picture, own, others, noise
+    picture, own, others, sites, noise
         See `twin.sense.template.Templates`.
     start_px, radius_px
         (n, 2) centres and (n,) radii to start from, px; NaN rows are left out.
@@ -101,7 +102,7 @@ def fit_shapes(
     signal, use = np.empty((2, len(rows), offset.shape[1]), np.float32)
     colour = tuple(own)
     for k, (column, row) in enumerate(middle):
-        gather(picture, colour, others, column, row, offset, NO_RUNS, signal[k], use[k])
+        gather(picture, colour, others, sites, column, row, offset, NO_RUNS, signal[k], use[k])
     p = np.zeros((len(rows), PARAMETERS))
     p[:, :2] = start
     p[:, 3] = signal[:, offset.shape[1] // 2]
@@ -391,7 +392,8 @@ def fit_visible(
     count = used.sum(axis=1)
     squares = (residual**2 * used / expected_square).sum(axis=1)
     covariance = np.linalg.inv(matrix)
-    information, every = tilt**2, np.maximum((tilt**2).sum(axis=1), 1e-9)
+    information = tilt**2
+    every = np.maximum(information.sum(axis=1) * templates.sites.mean(), 1e-9)
     fitted = np.full((len(rows), COLUMNS), np.nan)
     fitted[:, CENTRE], fitted[:, LEVEL], fitted[:, GROUND] = centre, level, ground
     fitted[:, VARIANCE] = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])[:, None]
@@ -413,9 +415,10 @@ def _median(values: Floats) -> float:
 
 def _signal(picture: Picture, templates: Templates, place: Ints) -> tuple[Floats, Bools, Bools]:
     """Return the projected pixels at ``place`` (k, m, 2), which of them count, and which are in the
-    picture."""
+    picture, and of the sites."""
     height, width = picture.shape[:2]
     inside = ((place >= 0) & (place < [width, height])).all(axis=2)
+    inside &= templates.sites[place[:, :, 1] % 2, place[:, :, 0] % 2] > 0.0
     use = inside.copy()
     column, row = np.clip(place, 0, [width - 1, height - 1]).transpose(2, 0, 1)
     pixels = picture[row, column].astype(float)

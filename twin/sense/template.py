@@ -58,9 +58,9 @@ def disc_offsets(radius: float) -> Ints:
 
 
 @njit(cache=True, fastmath=True)
-def gather(image, own, others, column, row, offset, runs, signal, use):
-    """Project the pixels at ``offset`` (2, m); those outside, or where one of ``others`` shows,
-    don't count.
+def gather(image, own, others, sites, column, row, offset, runs, signal, use):
+    """Project the pixels at ``offset`` (2, m); those outside, not of the ``sites``, or where one of
+    ``others`` shows, don't count.
 
     Where all are in the picture, every one of the ``runs`` is worked on in whole `LANES`; what is
     too much is written over by the next row. So ``signal`` and ``use`` have room for `LANES` more
@@ -87,7 +87,7 @@ def gather(image, own, others, column, row, offset, runs, signal, use):
             for k in range(others.shape[0]):
                 if others[k, 0] * r + others[k, 1] * g + others[k, 2] * b > others[k, 3]:
                     seen = np.float32(0.0)
-            use[p] = seen
+            use[p] = seen * sites[y % 2, x % 2]
         return
     flat = image.reshape(-1)
     other_red, other_green, other_blue = np.float32(0), np.float32(0), np.float32(0)
@@ -121,6 +121,9 @@ def gather(image, own, others, column, row, offset, runs, signal, use):
             b = np.float32(image[y, x, 2])
             if others[k, 0] * r + others[k, 1] * g + others[k, 2] * b > others[k, 3]:
                 use[p] = np.float32(0.0)
+    if sites.sum() < 4.0:
+        for p in range(done):
+            use[p] *= sites[(row + offset[1, p]) % 2, (column + offset[0, p]) % 2]
 
 
 SHAPE = 8
@@ -324,11 +327,13 @@ def _fit_centres(
     image,
     own,
     others,
+    sites,
     start,
     lead,
     shape,
     ground,
     noise,
+    gain,
     usual_misfit,
     slopes,
     offset,
@@ -337,6 +342,7 @@ def _fit_centres(
     room,
     third,
     coherent,
+    turns,
     out,
 ):
     """Fill ``out`` (n, `COLUMNS`), see `Templates.fit`; what it holds stays where a fit failed.
@@ -362,14 +368,14 @@ def _fit_centres(
         mean_radius = math.sqrt(max(xx * yy - xy * xy, 0.25))
         scale, step, column, row = 1.0, 1e9, 0, 0
         share, last_x, last_y = 1.0, 0.0, 0.0
-        for turn in range(SETTLED_TURNS):
+        for turn in range(turns):
             middle_x, middle_y = int(np.rint(cx)), int(np.rint(cy))
             if middle_x < 0 or middle_y < 0 or middle_x >= columns or middle_y >= rows:
                 step = 1e9
                 break
             if turn == 0 or abs(cx - column) > 1.0 or abs(cy - row) > 1.0:
                 column, row = middle_x, middle_y
-                gather(image, colour, others, column, row, offset, runs, room[0], room[1])
+                gather(image, colour, others, sites, column, row, offset, runs, room[0], room[1])
             u, v = cx / columns - 0.5, cy / rows - 0.5
             slope_x = mark[3] + slopes[0, 0] + slopes[0, 1] * u + slopes[0, 2] * v
             slope_x += slopes[0, 3] * u * u + slopes[0, 4] * u * v + slopes[0, 5] * v * v
@@ -410,8 +416,8 @@ def _fit_centres(
             brighter = abs(level - level_before) + abs(here - ground_before)
             if level <= 0.05 * mark[7]:
                 break
-            step_x = (jyy * total[8] - jxy * total[9]) / information
-            step_y = (jxx * total[9] - jxy * total[8]) / information
+            step_x = (jyy * total[8] - jxy * total[9]) / (gain * information)
+            step_y = (jxx * total[9] - jxy * total[8]) / (gain * information)
             swing = -(step_x * last_x + step_y * last_y) / max(
                 last_x * last_x + last_y * last_y, 1e-9
             )
@@ -425,7 +431,7 @@ def _fit_centres(
             step = step_x * step_x + step_y * step_y
             growth = 1.0
             if turn > 0 or step < 0.25:
-                growth = total[11] / max(total[10], 1e-9) / mean_radius
+                growth = total[11] / max(total[10], 1e-9) / (gain * mean_radius)
                 scale = min(max(scale * (1.0 + min(max(growth, -0.1), 0.1)), 0.7), 1.3)
             settled = abs(growth) < SETTLED_GROWTH and brighter < SETTLED_LEVEL * level
             # the first step trusts all pixels, which moves irregular markers: not where others end
@@ -435,8 +441,9 @@ def _fit_centres(
                 break
         if step > 1e8:
             continue
+        # all that a residual moves is less by the gain
         jxx, jxy, jyy, n = total[5], total[6], total[7], total[0]
-        determinant = max(jxx * jyy - jxy * jxy, 1e-9)
+        determinant = gain * max(jxx * jyy - jxy * jxy, 1e-9)
         more = noise[1] - noise[0]
         across, along = noise[0] * jxx + more * total[12], noise[0] * jyy + more * total[13]
         # the middle matrix of the sandwich, taken as diagonal: exact on whole discs
@@ -448,19 +455,24 @@ def _fit_centres(
         mean, gap = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
         length = 2.0 * np.pi * scale * math.sqrt(mean * mean + gap * gap)
         whole = length * (level * (1.0 + mark[5])) ** 2 * 5.0 / 7.0 / blur
+        if sites.sum() < 4.0:
+            form = _inverse_form(xx, xy, yy, scale)
+            light = (slope_x, slope_y, mark[5])
+            at = (cx - column, cy - row)
+            whole = _edge_of_sites(sites, column, row, offset, at, form, light, blur, level)
         fit[EDGE] = total[15] / max(whole, 1e-9)
         fit[SQUARES], fit[PIXELS], fit[STEP] = total[14], n, math.sqrt(step)
         fit[MISFIT] = total[14] / max(noise[0] * n + more * total[1], 1e-9)
         fit[FITTING] = total[10] / max(total[15], 1e-9)
         fit[SHORTFALL], fit[RESHAPED], fit[DIFFERENCE] = 0.0, 0.0, 0.0
-        sharp = 0.5 * max(total[15], 1e-9)
+        sharp = 0.5 * gain * max(total[15], 1e-9)
         fit[THIRD_X], fit[THIRD_Y] = total[16] / sharp, total[17] / sharp
         # both axes alike: exact on whole discs
         firm, both, own_slope = 0.5 * total[22], 0.5 * total[23], 0.5 * total[24]
         free = max(firm * own_slope - both * both, 1e-12)
-        fit[TILTED_X] = (own_slope * total[18] - both * total[20]) / free
-        fit[TILTED_Y] = (own_slope * total[19] - both * total[21]) / free
-        fit[VAR_TILTED] = own_slope / free
+        fit[TILTED_X] = (own_slope * total[18] - both * total[20]) / (gain * free)
+        fit[TILTED_Y] = (own_slope * total[19] - both * total[21]) / (gain * free)
+        fit[VAR_TILTED] = own_slope / (gain * gain * free)
         fit[SLOPE_X] = (firm * total[20] - both * total[18]) / (free * level)
         fit[SLOPE_Y] = (firm * total[21] - both * total[19]) / (free * level)
         uneven = (fit[THIRD_X] - third[k, 0]) ** 2 + (fit[THIRD_Y] - third[k, 1]) ** 2
@@ -475,8 +487,28 @@ def _fit_centres(
             light = (slope_x, slope_y, mark[5])
             centre = (cx - column, cy - row)
             _edge(signal, use, place, centre, form, light, blur, level, here, narrow, fit)
+            fit[ONE_SIDED:RESHAPED] /= gain
             if fit[SHORTFALL] * level <= OUTLIER_SD * math.sqrt(noise[1]):
                 fit[SHORTFALL] = 0.0
+
+
+@njit(cache=True)
+def _edge_of_sites(sites, column, row, offset, centre, form, light, blur, level):
+    """Return a whole edge's sum of squared slopes at the ``sites``."""
+    xx, xy, yy = form
+    slope_x, slope_y, bulge = light
+    whole = 0.0
+    for p in range(offset.shape[1]):
+        if sites[(row + offset[1, p]) % 2, (column + offset[0, p]) % 2] == 0.0:
+            continue
+        dx, dy = offset[0, p] - centre[0], offset[1, p] - centre[1]
+        ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
+        squared = ax * dx + ay * dy + 1e-6
+        v = (math.sqrt(squared) - squared) / math.sqrt(ax * ax + ay * ay + 1e-8) / blur
+        if abs(v) < 1.0:
+            bright = level * (1.0 + slope_x * dx + slope_y * dy + bulge * min(squared, 1.0))
+            whole += (bright * (1.0 - v * v) ** 2 * 15 / 16 / blur) ** 2
+    return whole
 
 
 @njit(cache=True)
@@ -556,12 +588,18 @@ class Templates:
     own, others
         (4,) projection (r, g, b) and ground; (m, 4) the other signals' and the counts above which
         they show; float32.
+    sites
+        (2, 2) 1 where a camera with a colour mosaic has measured the layer's colour, by parity of
+        row and column, else 0; all 1 without. float32.
     shape
         (n, `SHAPE`) every marker's template; NaN for markers not found at rest.
     ground
         (n,) ground around every marker at rest, counts.
     noise
         (2,) variance of the ground's noise and of a full marker's, counts squared.
+    gain
+        By how much pictures change with the place more than their model does: a step of the
+        model's slopes alone goes so many times too far.
     slopes
         (2, 6) relative slope of brightness along x and y that markers share, by the terms 1, u, v,
         u^2, u v, v^2 of the place in the picture; u, v from -1/2 to 1/2 across it. A template's
@@ -583,9 +621,11 @@ class Templates:
 
     own: Singles
     others: Singles
+    sites: Singles
     shape: Floats
     ground: Floats
     noise: Floats
+    gain: float
     slopes: Floats
     usual_misfit: float
     level: Floats
@@ -622,6 +662,8 @@ class Templates:
         picture: Picture,
         start_px: Pixels,
         lead: Ints | None = None,
+        *,
+        turns: int = SETTLED_TURNS,
     ) -> Floats:
         """Fit every marker's centre, level, ground and scale.
 
@@ -634,6 +676,8 @@ class Templates:
         lead
             (n, `LEADS`) earlier rows, -1 for none: a start is moved by the median of how far these
             moved from theirs.
+        turns
+            Most steps of a marker.
 
         Returns
         -------
@@ -646,11 +690,13 @@ class Templates:
             picture,
             self.own,
             self.others,
+            self.sites,
             np.ascontiguousarray(start_px),
             NOBODY if lead is None else lead,
             self.shape,
             self.ground,
             self.noise,
+            self.gain,
             self.usual_misfit,
             self.slopes,
             offset,
@@ -659,6 +705,7 @@ class Templates:
             room,
             self.third,
             self.coherent,
+            turns,
             out,
         )
         return out

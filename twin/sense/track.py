@@ -341,7 +341,9 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
         start = None if start_px is None else np.asarray(start_px, float)[rows]
         seen = group.measure(picture, start)
         halved = rest.blocks is not None and seen.coherence > 1.0
-        film = REPEATING if rest.film else FILM if halved else 1.0
+        film = FILM if halved else 1.0
+        if rest.film:  # that edges look alike says nothing where a codec repeats them
+            film = REPEATING / min(seen.coherence, 1.0)
         shift[rows], sd[rows], state[rows] = seen.shift_px, film * seen.sd_px, seen.state
         usual[rows] *= film * seen.coherence
         spurious = (
