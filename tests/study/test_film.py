@@ -10,7 +10,7 @@ from PIL import Image, ImageSequence
 import twin
 from twin.cli import main
 from twin.errors import InputError, RecipeError, TwinError
-from twin.files import make_folder
+from twin.files import make_folder, read_arrays
 from twin.parts.press import Step
 from twin.sense.calibration import read_calibration
 from twin.sense.track import Tracker
@@ -132,7 +132,7 @@ def test_a_film_has_the_truth_of_its_frames_and_the_tracker_reads_it_back(tmp_pa
     scene = sliding()
     said = film_to_folder(scene, tmp_path / "film")
     assert "5 pictures in 0.16 s" in said
-    truth = np.load(tmp_path / "film" / "truth.npz")
+    truth = read_arrays(tmp_path / "film" / "truth.npz")
     np.testing.assert_allclose(truth["time_s"], [0, 0.04, 0.08, 0.12, 0.16])
     np.testing.assert_allclose(truth["force_n"][:, 2], [0, 0.1, 0.2, 0.2, 0.2], atol=1e-7)
     np.testing.assert_allclose(truth["probe_move_mm"][:, 0], [0, 0, 0, 0.2, 0.4], atol=1e-9)
@@ -151,7 +151,7 @@ def test_a_film_has_the_truth_of_its_frames_and_the_tracker_reads_it_back(tmp_pa
 
 def worst_rms(scene, folder: Path, frames: list[np.ndarray]) -> float:
     """Return the largest root mean square error of tracking, px, over the frames of a film."""
-    truth = np.load(folder / "truth.npz")
+    truth = read_arrays(folder / "truth.npz")
     assert len(frames) == len(truth["time_s"])
     tracker = Tracker(read_picture(folder / "rest.png"), Sensor(scene).layout_px)
     worst = 0.0
@@ -175,7 +175,7 @@ def test_a_film_as_a_video_has_the_same_truth(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         film_to_folder(sliding(), tmp_path, stop, h264=True)
-    assert len(frames_of(tmp_path / "frames.mp4")) == len(np.load(tmp_path / "truth.npz")["time_s"]) == 3
+    assert len(frames_of(tmp_path / "frames.mp4")) == len(read_arrays(tmp_path / "truth.npz")["time_s"]) == 3
 
 
 def test_forces_on_a_film_of_rubber_that_relaxes_are_the_true_ones(tmp_path: Path) -> None:
@@ -205,9 +205,9 @@ def test_forces_on_a_film_of_rubber_that_relaxes_are_the_true_ones(tmp_path: Pat
         with pytest.raises(SystemExit) as ended:
             main(["reconstruct", *both, *options])
         assert ended.value.code == 0
-        return np.load(tmp_path / "forces.npz")["fz_n"]
+        return read_arrays(tmp_path / "forces.npz")["fz_n"]
 
-    truth = np.load(tmp_path / "truth.npz")
+    truth = read_arrays(tmp_path / "truth.npz")
     np.testing.assert_allclose(truth["force_n"][:, 2], [0, *[0.2] * 8, 0, 0], atol=1e-7)
     creep = [rubber.ramp_creep(time_s - 0.2, 0.2) for time_s in truth["time_s"][1:]]
     back = [0.0] * 8 + [float(rubber.creep(time_s - 1.6)) for time_s in truth["time_s"][9:]]
@@ -228,7 +228,7 @@ def test_an_interrupted_film_keeps_its_frames_and_their_truth(tmp_path: Path) ->
 
     def stop(what: str, _: float) -> None:
         if what.startswith("picture 3"):
-            assert len(np.load(folder / "truth.npz")["time_s"]) >= 1, "a killed process would keep it"
+            assert len(read_arrays(folder / "truth.npz")["time_s"]) >= 1, "a killed process would keep it"
             raise KeyboardInterrupt
 
     folder.mkdir()
@@ -237,7 +237,7 @@ def test_an_interrupted_film_keeps_its_frames_and_their_truth(tmp_path: Path) ->
         film_to_folder(sliding(), folder, stop)
     assert not (folder / "frames.mp4").exists(), "an older film"
     assert [path.name for path in sorted((folder / "frames").iterdir())] == ["000000.png", "000001.png"]
-    assert len(np.load(folder / "truth.npz")["time_s"]) == 2
+    assert len(read_arrays(folder / "truth.npz")["time_s"]) == 2
 
 
 def test_what_has_no_frames_is_said(tmp_path: Path) -> None:

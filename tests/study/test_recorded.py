@@ -20,6 +20,7 @@ from half_space_sensor import _sensor, disk, grid, jacobian, shifts
 from benchmarks.discs import expose, scene
 from twin.cli import main
 from twin.errors import InputError
+from twin.files import read_arrays
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import track
 from twin.study.recorded import VIDEOS, read_picture
@@ -140,7 +141,7 @@ def felt(folder, rest, calibration, pictures, *options):
             Image.fromarray(picture).save(folder / f"{name}.png")
     names = [f"{number}.png" for number in range(len(pictures))]
     twin("rest.png", *names, "--calibration", "known.npz", "--out", "felt.npz", *options, cwd=folder)
-    return dict(np.load(folder / "felt.npz"))
+    return read_arrays(folder / "felt.npz")
 
 
 def columns(table, kind, unit="n"):
