@@ -61,6 +61,21 @@ def test_footprints_have_the_second_moments_of_hertz_and_of_a_stuck_disc():
 
 
 @pytest.mark.slow
+def test_a_cover_of_the_recipe_is_part_of_the_fitted_design():
+    """As drawn, markers move as in the nominal body with its cover; without it they would be over 5 % off."""
+    stiff = {"cover.youngs_modulus_mpa": 5.0, "tolerance.poisson_ratio": 0.0}
+    scene = load_scene("sato_press", overrides=stiff)
+    square = on_surface(scene.body, np.zeros((1, 2)), 0.5, "places")
+    sensor = Sensor(scene)
+    covered = sensor.nominal_compliance.to_points(sensor.nominal_markers.points, square)
+    for recipe, apart in ((scene, 1e-6), (SCENE, None)):
+        twin = FittedDesign(recipe, square, np.full(1, 0.9))
+        found = twin.compliance(np.zeros(len(twin.names)), sensor.nominal_markers.points, square)
+        off = np.linalg.norm(found - covered) / np.linalg.norm(covered)
+        assert off < apart if apart else off > 0.05
+
+
+@pytest.mark.slow
 def test_five_presses_beat_the_drawing():
     """Truth by contact on another mesh, with lens distortion and another Poisson's ratio."""
     from benchmarks.calibrations import BETWEEN, PLACES, Truth, drawn, measured, sensors

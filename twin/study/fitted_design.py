@@ -4,6 +4,8 @@ It is the nominal body on the nominal mesh, never the truth. Displacements scale
 moved markers are interpolated in the same fields, and Poisson's ratio between two bodies, so a set
 of parameters costs milliseconds.
 
+A cover of another material adds what it does to the markers as drawn, whatever the parameters.
+
 A probe's footprint is Hertz's pressure on the nominal contact radius times a fitted factor. The
 shear of a contact that sticks lies between Hertz's spread (pressed down a slope) and a stuck disc's
 (moved sideways): the middle of both, with half their difference as a standard deviation of each
@@ -23,6 +25,7 @@ from twin.parts.camera import Camera
 from twin.parts.load import Rectangles
 from twin.parts.scene import Scene
 from twin.sense.fit_design import Fit
+from twin.study.sensor import Sensor
 from twin.theory import halfspace
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.compliance import Compliance
@@ -86,6 +89,7 @@ class FittedDesign:
         self.names = tuple(self.sizes)
         self.print_mm = max(room.print_mm, 1e-3)
         self._progress = progress
+        self._covered: dict[bytes, Floats] = {}
         counts = [layer.columns * layer.rows for layer in scene.markers.values()]
         self._chart = np.concatenate([layer.chart() for layer in scene.markers.values()])
         self._layer = np.repeat(list(scene.markers), counts)
@@ -99,6 +103,22 @@ class FittedDesign:
             for m in (nominal, softer)
         ]
         return made[0], made[1]
+
+    @cached_property
+    def _sensor(self) -> Sensor:
+        return Sensor(self.scene, self._progress)
+
+    def _by_cover(self, sites: Rectangles) -> Floats | float:
+        """Return (3n, 3k) mm/N, by how much the nominal cover moves the markers as drawn more."""
+        cover = self.scene.cover
+        if cover is None or not cover.has_own_material:
+            return 0.0
+        key = sites.centre_mm.tobytes() + sites.half_mm.tobytes()
+        if key not in self._covered:
+            drawn = self._sensor.nominal_markers.points
+            covered = self._sensor.nominal_compliance.to_points(drawn, sites)
+            self._covered[key] = covered - self._bodies[0].to_points(drawn, sites)
+        return self._covered[key]
 
     def _values(self, scaled: Floats) -> dict[str, float]:
         """Return the parameters' deviations in their own units."""
@@ -179,7 +199,8 @@ class FittedDesign:
             if share:
                 here = here + share * (softer.to_points(markers, few) - here)
             columns.append(here)
-        return np.asarray(np.concatenate(columns, axis=1) / (1 + found["youngs_modulus"]))
+        whole = np.concatenate(columns, axis=1) + self._by_cover(sites)
+        return np.asarray(whole / (1 + found["youngs_modulus"]))
 
     def seen(self, points: Points, camera: Camera) -> Pixels:
         """Return where a camera sees points of the nominal body, px."""
