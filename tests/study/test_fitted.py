@@ -68,8 +68,8 @@ def test_a_cover_of_the_recipe_is_part_of_the_fitted_design():
     square = on_surface(scene.body, np.zeros((1, 2)), 0.5, "places")
     sensor = Sensor(scene)
     covered = sensor.nominal_compliance.to_points(sensor.nominal_markers.points, square)
-    for recipe, apart in ((scene, 1e-6), (SCENE, None)):
-        twin = FittedDesign(recipe, square, np.full(1, 0.9))
+    for cover, apart in ((sensor.nominal_compliance, 1e-6), (None, None)):
+        twin = FittedDesign(scene, square, np.full(1, 0.9), cover)
         found = twin.compliance(np.zeros(len(twin.names)), sensor.nominal_markers.points, square)
         off = np.linalg.norm(found - covered) / np.linalg.norm(covered)
         assert off < apart if apart else off > 0.05

@@ -388,7 +388,9 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
     force = scene.calibration.press_force_n * places.frames[:, 2, 2]
     most = scene.calibration.press_probe_mm / 2
     radius = np.array([min(hertz_radius(scene, float(f)), most) for f in force])
-    design = FittedDesign(scene, places, radius, progress=sensor.progress)
+    own_cover = scene.cover is not None and scene.cover.has_own_material
+    covered = sensor.nominal_compliance if own_cover else None
+    design = FittedDesign(scene, places, radius, covered, progress=sensor.progress)
     found = Fit.of(design, presses)
     # The transfer matrix of the fitted design, at the scene's sites.
     markers, _ = design.markers_of(found.scaled, presses.rest_px)

@@ -16,19 +16,22 @@ five places only, which have the same second moments.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twin.arrays import Floats, Ints, Pixels, Points
 from twin.parts.camera import Camera
 from twin.parts.load import Rectangles
+from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.sense.fit_design import Fit
-from twin.study.sensor import Sensor
 from twin.theory import halfspace
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.compliance import Compliance
+
+if TYPE_CHECKING:
+    from twin.world.elasticity.coated import CoveredCompliance
 
 FOOTPRINT_PCT = 10.0
 """Standard deviation of the footprint's radius against Hertz's, percent: what sticking and
@@ -66,12 +69,20 @@ class FittedDesign:
         Squares on the surface where presses were made (`twin.study.sensor.on_surface`).
     radius_mm
         (p,) nominal contact radius of the presses there.
+    covered
+        The nominal body with its cover, where that is of another material.
     """
 
     def __init__(
-        self, scene: Scene, places: Rectangles, radius_mm: Floats, progress: Any = None
+        self,
+        scene: Scene,
+        places: Rectangles,
+        radius_mm: Floats,
+        covered: Compliance | CoveredCompliance | None = None,
+        progress: Any = None,
     ) -> None:
         assert scene.camera is not None
+        self.covered = covered
         self.scene, self.places, self.radius_mm = scene, places, np.asarray(radius_mm, float)
         self.camera: Camera = scene.camera
         room = scene.tolerance
@@ -89,7 +100,7 @@ class FittedDesign:
         self.names = tuple(self.sizes)
         self.print_mm = max(room.print_mm, 1e-3)
         self._progress = progress
-        self._covered: dict[bytes, Floats] = {}
+        self._added: dict[bytes, Floats] = {}
         counts = [layer.columns * layer.rows for layer in scene.markers.values()]
         self._chart = np.concatenate([layer.chart() for layer in scene.markers.values()])
         self._layer = np.repeat(list(scene.markers), counts)
@@ -104,21 +115,16 @@ class FittedDesign:
         ]
         return made[0], made[1]
 
-    @cached_property
-    def _sensor(self) -> Sensor:
-        return Sensor(self.scene, self._progress)
-
     def _by_cover(self, sites: Rectangles) -> Floats | float:
         """Return (3n, 3k) mm/N, by how much the nominal cover moves the markers as drawn more."""
-        cover = self.scene.cover
-        if cover is None or not cover.has_own_material:
+        if self.covered is None:
             return 0.0
         key = sites.centre_mm.tobytes() + sites.half_mm.tobytes()
-        if key not in self._covered:
-            drawn = self._sensor.nominal_markers.points
-            covered = self._sensor.nominal_compliance.to_points(drawn, sites)
-            self._covered[key] = covered - self._bodies[0].to_points(drawn, sites)
-        return self._covered[key]
+        if key not in self._added:
+            drawn = place(self.scene.body, self.scene.markers).points
+            bare = self._bodies[0].to_points(drawn, sites)
+            self._added[key] = self.covered.to_points(drawn, sites) - bare
+        return self._added[key]
 
     def _values(self, scaled: Floats) -> dict[str, float]:
         """Return the parameters' deviations in their own units."""
