@@ -275,6 +275,14 @@ def test_a_bad_frame_is_told_and_the_sequence_goes_on(folder):
     assert "5 of 7 frames failed" in done.stderr
 
 
+def test_16_bit_colours_are_refused_not_cut_to_8(tmp_path):
+    """Pillow opens such a file as an ordinary RGB picture; OpenCV wrote it."""
+    cv2 = pytest.importorskip("cv2")
+    cv2.imwrite(str(tmp_path / "deep.png"), np.full((4, 5, 3), 0x1234, np.uint16))
+    with pytest.raises(InputError, match="more than 8 bits"):
+        read_picture(tmp_path / "deep.png")
+
+
 def test_a_bumped_camera_and_a_turned_picture_are_said(folder):
     image = np.array(Image.open(folder / "press2.png"))
     Image.fromarray(np.roll(image, 3, axis=1)).save(folder / "bumped.png")

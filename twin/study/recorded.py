@@ -212,7 +212,8 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
                 raise InputError(
                     f"{path}: {width}x{height} px are more than {LARGEST_PX:,}: crop it"
                 )
-            if mode.startswith(("I", "F")):
+            stored = str(image.tile[0].args) if image.tile else ""  # "RGB;16B" opens as RGB
+            if mode.startswith(("I", "F")) or ";16" in stored:
                 raise InputError(
                     f"{path}: has more than 8 bits a channel ({mode}): convert it to 8 bits first"
                 )
