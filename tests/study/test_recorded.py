@@ -3,8 +3,10 @@
 import csv
 import io
 import json
+import struct
 import subprocess
 import sys
+import zlib
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -276,9 +278,15 @@ def test_a_bad_frame_is_told_and_the_sequence_goes_on(folder):
 
 
 def test_16_bit_colours_are_refused_not_cut_to_8(tmp_path):
-    """Pillow opens such a file as an ordinary RGB picture; OpenCV wrote it."""
-    cv2 = pytest.importorskip("cv2")
-    cv2.imwrite(str(tmp_path / "deep.png"), np.full((4, 5, 3), 0x1234, np.uint16))
+    """Pillow opens such a file as an ordinary RGB picture."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 5, 4, 16, 2, 0, 0, 0))
+    rows_of = chunk(b"IDAT", zlib.compress((b"\0" + b"\x12\x34" * 15) * 4))
+    (tmp_path / "deep.png").write_bytes(b"\x89PNG\r\n\x1a\n" + head + rows_of + chunk(b"IEND", b""))
+    assert Image.open(tmp_path / "deep.png").mode == "RGB"
     with pytest.raises(InputError, match="more than 8 bits"):
         read_picture(tmp_path / "deep.png")
 
