@@ -286,7 +286,8 @@ def test_16_bit_colours_are_refused_not_cut_to_8(tmp_path):
     head = chunk(b"IHDR", struct.pack(">IIBBBBB", 5, 4, 16, 2, 0, 0, 0))
     rows_of = chunk(b"IDAT", zlib.compress((b"\0" + b"\x12\x34" * 15) * 4))
     (tmp_path / "deep.png").write_bytes(b"\x89PNG\r\n\x1a\n" + head + rows_of + chunk(b"IEND", b""))
-    assert Image.open(tmp_path / "deep.png").mode == "RGB"
+    with Image.open(tmp_path / "deep.png") as opened:
+        assert opened.mode == "RGB"
     with pytest.raises(InputError, match="more than 8 bits"):
         read_picture(tmp_path / "deep.png")
 
