@@ -35,7 +35,7 @@ from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
 from twin.theory import halfspace
 from twin.world.contact.contact_problem import LoadProgramme
 from twin.world.contact.contact_state import ContactState, PressError, Share
-from twin.world.contact.probe_gap import MOTIONS, X, Y, Z
+from twin.world.contact.probe_gap import MOTIONS, Z
 
 _Solve = Callable[[LoadProgramme, int], tuple[list[ContactState], str]]
 """Takes a programme's path in so many parts a step; returns the states, and why it stopped."""
@@ -68,9 +68,10 @@ _WHOLE = 0.75
 about half on a half-space, where it grows with the radius, and all on a thin layer."""
 
 _CUT_THIN = 2.5
-"""How many times that is added where the contact's radius is the body's thickness or more. Measured
-at 8 to 16 across against 26 to 30, radius over thickness 0.6, 1 and 2 to 2.5: `_CUT` would be 0.53,
-0.9 and 0.8, of one that sticks 1.2 at most."""
+"""How many times that is added where the contact's radius is the body's thickness or more; below,
+with its cube. Measured at 8 to 16 across against 26 to 30, radius over thickness 0.6, 1 and 2 to
+2.5: `_CUT` would be 0.53, 0.9 and 0.8, of one that sticks 1.2 at most; 0.09 to 0.6 at 0.2 to
+0.4, by chance."""
 
 _CUT_STUCK = 0.25
 """Least error of the force sideways where patches stick up to the border of a smooth contact, times
@@ -282,7 +283,7 @@ class Estimates:
         if smooth:
             height = self._job.setups[0].body.base_z_mm
             wide = max(one.contact_radius_mm for one in (state, *state.also)) / height
-            error = _CUT * (1.0 + _CUT_THIN * min(1.0, wide)) / across**2
+            error = _CUT * (1.0 + _CUT_THIN * min(1.0, wide) ** 3) / across**2
         for setup in self._job.setups:
             if isinstance(setup.probe, Cylinder | Pillar) and any(setup.first.tilt_deg[:2]):
                 incline = math.acos(min(1.0, float(setup.first.tilt[2, 2])))
@@ -311,12 +312,12 @@ class Estimates:
         as a whole, over the force: what their area is too large by."""
         smooth = isinstance(self._job.setups[number].probe, Sphere | Cone)
         held = self._job.steps[step].by_force[MOTIONS * number :]
-        if not smooth or len(state.pressure_mpa) == 0 or (held[X] and held[Y]):
+        if not smooth or len(state.pressure_mpa) == 0:
             return 0.0
         counted = float(_areas(_joined(Load(state.load.terms[:1]))).sum())
         stuck = float((~state.slip[_at_border(state)]).mean()) if state.friction > 0.0 else 0.0
-        normal = self._job.setups[number].first.axes[Z]
-        sideways = state.force_n - (state.force_n @ normal) * normal
+        # What is held by force sideways is as it should be; what is held by motion is too large.
+        sideways = np.where(held[:Z], 0.0, self._job.setups[number].first.axes[:Z] @ state.force_n)
         excess = _WHOLE * abs(counted / state.area_mm2 - 1.0)
         least = _CUT_STUCK / self._job.setups[0].across
         return stuck * max(excess, least) * _over(sideways, state.force_n)
