@@ -1031,7 +1031,7 @@ def sweep(
     for warning in done.warnings:
         print(f"warning     {warning}")
     print("\n".join(best))
-    print(f"written to  {folder}: report.html, where 'Fidelities and reuse' says how far to trust")
+    print(f"written to  {folder}: report.html says how far to trust them ('Fidelities and reuse')")
     if done.failed:
         reason = next(str(e) for e, s in zip(done.error, done.status, strict=True) if s == "failed")
         raise SomeFailed(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import hashlib
 import json
 import os
 import re
@@ -62,7 +63,8 @@ _UNREADABLE = (
 """Exceptions of numpy and zipfile on damaged archives."""
 
 _pinned: list[Path] = []
-_unkept: list[Exception] = []
+_unkept: list[str] = []
+"""Why the cache can't be written, once it is known."""
 
 
 @cache
@@ -101,7 +103,7 @@ def kept_if_possible() -> Iterator[None]:
                 "set TWIN_CACHE to another folder.",
                 file=sys.stderr,
             )
-        _unkept.append(problem)
+            _unkept.append(reason)
 
 
 def pinned(name: str) -> Path | None:
@@ -281,6 +283,12 @@ def read_arrays(
             raise ValueError(str(problem) or type(problem).__name__) from None
 
 
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file's contents, hexadecimal; a file may be larger than memory."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def png_bytes(picture: Picture) -> bytes:
     """Return a uint8 picture, (height, width, 3) or grey (height, width), as a PNG file (W3C, PNG
     3rd edition, 8 bits).
@@ -298,7 +306,8 @@ def png_bytes(picture: Picture) -> bytes:
     is_grey = picture.ndim == 2
     if (not is_grey and picture.shape[2:] != (3,)) or picture.dtype != np.uint8:
         raise InputError(
-            f"a picture must be (height, width, 3) uint8, got {picture.shape} {picture.dtype}"
+            "a picture must be (height, width, 3) or (height, width) uint8, got "
+            f"{picture.shape} {picture.dtype}"
         )
     height, width = picture.shape[:2]
     row = picture.reshape(height, -1)

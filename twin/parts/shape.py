@@ -7,7 +7,6 @@ shape that a closed surface in a file gives; it stores the digest of its file an
 
 from __future__ import annotations
 
-import hashlib
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,6 +17,7 @@ from pydantic import Field, field_validator, model_validator
 
 from twin.arrays import Bools, Chart, Floats, Ints, Points
 from twin.errors import InputError
+from twin.files import file_digest
 from twin.geometry.closed import Surface
 from twin.parts.part import Part
 
@@ -187,11 +187,6 @@ class Body(Part):
         return np.stack([along_s, np.cross(normal, along_s), normal], axis=1)
 
 
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:  # of any size, so never whole in memory
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 class StlFile(Part):
     """The inside of a closed STL surface.
 
@@ -226,12 +221,12 @@ class StlFile(Part):
         if isinstance(table, dict) and not table.get("sha256"):
             file = table.get("file")
             if isinstance(file, str) and Path(file).is_file():
-                return {**table, "sha256": _digest(Path(file))}
+                return {**table, "sha256": file_digest(Path(file))}
         return table
 
     @model_validator(mode="after")
     def _file_is_the_one(self) -> StlFile:
-        found = _digest(Path(self.file))
+        found = file_digest(Path(self.file))
         if self.sha256 != found:
             raise ValueError(
                 f"sha256 = {self.sha256[:12]}... but {Path(self.file).name} has {found[:12]}...: "

@@ -41,6 +41,7 @@ from twin.sense.template import (
 )
 
 LEAST_CONTRAST_DN = 5.0
+"""Markers that differ less from their ground, counts, are not visible."""
 
 LEAST_LUMA = 0.2
 """Brightness shows a layer that has this share of its contrast in it: red has, blue has not."""
@@ -151,7 +152,8 @@ def layer_signals(
         ]
         for weights, colour in zip(own, colours, strict=True)
     ]
-    signals, mosaic = [], mosaic_sites(picture)
+    signals = []
+    mosaic = mosaic_sites(picture)
     for number, (weights, colour) in enumerate(zip(own, colours, strict=True)):
         bright = float(LUMA @ colour)
         in_brightness = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())

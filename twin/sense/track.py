@@ -290,10 +290,11 @@ class Tracker:
             return None if np.any(found.state == AMBIGUOUS) else self._last_px
         last = np.full_like(found.shift_px, np.nan) if self._last_px is None else self._last_px
         last = np.where(seen[:, None], found.shift_px, last)
+        markers = cKDTree(found.rest_px[seen])
         for group in self.rest.groups:
             rows = group.look.rows[~seen[group.look.rows]]
             rows = rows[np.isfinite(found.rest_px[rows, 0])]
-            _, near = cKDTree(found.rest_px[seen]).query(found.rest_px[rows])
+            _, near = markers.query(found.rest_px[rows])
             expected = found.shift_px[seen][near]
             away = np.hypot(*(last[rows] - expected).T)
             moved = ~(away < GATE * group.around.spacing_px)

@@ -23,7 +23,6 @@ import numpy as np
 from twin.arrays import Floats, Ints, Pixels, Points
 from twin.parts.camera import Camera
 from twin.parts.load import Rectangles
-from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.sense.fit_design import Fit
 from twin.theory import halfspace
@@ -55,7 +54,6 @@ CUTS = 8
 """Squares across a footprint."""
 
 AXES = ("x", "y", "z")
-FIELDS = ("centre_mm", "frames", "half_mm", "force_n")
 
 
 class FittedDesign:
@@ -121,7 +119,8 @@ class FittedDesign:
             return 0.0
         key = sites.centre_mm.tobytes() + sites.half_mm.tobytes()
         if key not in self._added:
-            drawn = place(self.scene.body, self.scene.markers).points
+            none_seen = np.full((len(self._chart), 2), np.nan)
+            drawn, _ = self.markers_of(np.zeros(len(self.names)), none_seen)
             bare = self._bodies[0].to_points(drawn, sites)
             self._added[key] = self.covered.to_points(drawn, sites) - bare
         return self._added[key]
@@ -200,7 +199,7 @@ class FittedDesign:
         # few at a time have fields, which serve other markers too
         for first in range(0, len(sites), 2 * len(markers)):
             which = slice(first, first + 2 * len(markers))
-            few = Rectangles(**{f: getattr(sites, f)[which] for f in FIELDS})
+            few = sites[which]
             here = nominal.to_points(markers, few)
             if share:
                 here = here + share * (softer.to_points(markers, few) - here)
@@ -275,9 +274,8 @@ class FittedDesign:
         offsets = REACH * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float)
         outer = np.array([1 / 5, 1 / 3]) / (2 * REACH**2)
         weights = np.stack([1 - 4 * outer, *[outer] * 4], axis=1)
-        parts = [self._squares(i, r, offsets) for i, r in enumerate(self.radius_mm)]
-        joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in FIELDS}
-        return Rectangles(**joined), weights
+        squares = [self._squares(i, r, offsets) for i, r in enumerate(self.radius_mm)]
+        return Rectangles.joined(squares), weights
 
     def _squares(self, index: int, radius: float, offsets: Floats) -> Rectangles:
         """Return squares on the surface around a place, at offsets in radii."""

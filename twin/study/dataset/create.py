@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 from twin.arrays import Progress
 from twin.blas_threads import one_thread
 from twin.errors import InputError
-from twin.files import make_folder, write_json, write_whole
+from twin.files import file_digest, make_folder, write_json, write_whole
 from twin.parts.scene import Scene
 from twin.study.batch.pool import Done, Job, Pool, Scheduler, counted, only_writer
 from twin.study.dataset.audit import audit
@@ -215,7 +215,7 @@ def _undamaged(places: Places) -> dict[str, str]:
         shard = path.parent in (places.data, places.sensors)
         if not (shard or path == places.meta / "audit.json") or not path.is_file():
             continue
-        if places.sha256(path) != digest:
+        if file_digest(path) != digest:
             path.unlink()
         elif shard:
             whole[name] = digest

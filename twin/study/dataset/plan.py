@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Collection, Iterable, Mapping
 from copy import deepcopy
@@ -15,6 +14,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from twin.errors import InputError, RecipeError, did_you_mean
+from twin.files import file_digest
 from twin.parts.load import Footprint, Load
 from twin.parts.part import Part, in_words
 from twin.parts.press import Press
@@ -332,14 +332,8 @@ class Places:
                 "meta/writer.lock",
                 "meta/written.sha256",
             ):
-                found[name] = (known or {}).get(name) or self.sha256(path)
+                found[name] = (known or {}).get(name) or file_digest(path)
         return found
-
-    @staticmethod
-    def sha256(path: Path) -> str:
-        """Return the SHA-256 of a file's contents."""
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
 
     @staticmethod
     def listed(file: Path) -> dict[str, str]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from twin.arrays import Progress
 from twin.errors import InputError
-from twin.files import write_json, write_whole
+from twin.files import file_digest, write_json, write_whole
 from twin.parts.body import Block, Solid
 from twin.parts.probe import Stl
 from twin.parts.scene import Scene
@@ -42,7 +42,7 @@ def prepare(plan: Plan, places: Places, progress: Progress | None) -> Plan:
     scene, files = _portable(plan.scene)
     _put_down(scene, files, places.meta)
     _pin_meshes(places.meta, progress)
-    meshes = {p.name: places.sha256(p) for p in sorted(places.meta.glob("*.npz"))}
+    meshes = {p.name: file_digest(p) for p in sorted(places.meta.glob("*.npz"))}
     write_json(places.info, _info(Plan(scene, plan.samples), meshes))
     return plan
 
@@ -154,7 +154,7 @@ def _resumed(plan: Plan, places: Places) -> Plan:
         )
     for name, digest in facts["meshes"].items():
         path = places.meta / name
-        if not path.is_file() or places.sha256(path) != digest:
+        if not path.is_file() or file_digest(path) != digest:
             what = "changed since" if path.is_file() else "missing, with which"
             raise InputError(
                 f"{path}: {what} the dataset was begun, and no other mesh makes the same bytes; "

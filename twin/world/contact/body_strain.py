@@ -92,10 +92,11 @@ _TOLERANCE = 1e-3
 
 _ERROR_OVER_CHANGE = 1.1
 _FLAT_OVER_CHANGE = 1.5
+"""The error over the change to the coarser mesh, and that under a flat face (docs/validity.md)."""
+
 _RUBS_OVER_CUBE = 14.0
-"""The error over the change to the coarser mesh, that under a flat face (docs/validity.md), and
-what friction adds over the cube of what linear theory leaves out: both meshes miss what rubber does
-that is held and stretched far."""
+"""What friction adds to the error, over the cube of what linear theory leaves out: both meshes miss
+what rubber does that is held and stretched far."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -144,13 +144,12 @@ class Estimates:
         self._solve = solve
         self._watched = watched
         self._points = np.zeros((0, 3)) if watched is None else watched.points
-        self._other_across = 0
 
     def of(self, state: ContactState, step: int) -> PressError:
         """Return the error of the state at the end of a step."""
         if not state.load.terms:
             return self._recovering(state, step)
-        other = _state_of(self._other, step) if state.complete else None
+        other = _state_of(self._compared[1], step) if state.complete else None
         patches = increments = Share.unknown()
         if other is not None:
             change = self._change(state, other)
@@ -183,7 +182,7 @@ class Estimates:
         """Return the error where no probe touches: of the motion that relaxing rubber still has."""
         body = patches = increments = Share()
         if state.load.moving.terms and self._watched is not None:
-            other = _state_of(self._other, step)
+            other = _state_of(self._compared[1], step)
             fewer = _state_of(self._fewer, step)
             body = Share(markers=self._watched.error(state.load))
             if other is None or fewer is None:
@@ -207,7 +206,7 @@ class Estimates:
         less steep, down to first order, the sharper their edges are.
         """
         free = [one.is_free_form for one in self._job.setups]
-        wider = self._job.setups[0].across / self._other_across
+        wider = self._job.setups[0].across / self._compared[0]
         sharp = 0.0
         if any(free):
             wider = _patch_mm(other) / _patch_mm(state)
@@ -225,21 +224,21 @@ class Estimates:
         return float(smooth + sharp * max(first - smooth, 0.0))
 
     @cached_property
-    def _other(self) -> list[ContactState]:
-        """The states on other patches: twice as wide, or narrower where there are too few of those
-        or where they don't fit on the body."""
+    def _compared(self) -> tuple[int, list[ContactState]]:
+        """How many other patches are across, and the states on these: twice as wide, or narrower
+        where there are too few of those or where they don't fit on the body."""
         across = self._job.setups[0].across
         enough = [n for n in (across // 2, 3 * across // 4, 2 * across) if n >= _FEWEST_COMPARED]
-        for self._other_across in enough[:2]:
-            if found := self._on_other_patches(self._increments, self._other_across):
-                return found
-        return []
+        for number in enough[:2]:
+            if found := self._on_other_patches(self._increments, number):
+                return number, found
+        return number, []
 
     @cached_property
     def _fewer(self) -> list[ContactState]:
         """The same in half as many parts; in twice as many where there is one only."""
         increments = self._increments // 2 if self._increments > 1 else 2
-        return self._on_other_patches(increments, self._other_across)
+        return self._on_other_patches(increments, self._compared[0])
 
     @cached_property
     def _few(self) -> list[ContactState]:

@@ -72,13 +72,16 @@ _BESIDE_FACE = 0.1
 """Points so far outside a flat face's outline, over its smaller half width, may come under it."""
 
 _ALL_SLIP = 0.8
+"""A probe slides as a whole where points that slip carry more than this share of the force."""
+
 _ANCHORED = 0.98
+"""Share of the force on anchored points from which a slide as a whole is looked for."""
+
 _SLIDES = 16
-_SLID_MM = 1e-4
-_SLID_MOST_MM = 2e-3
-"""Share of the force on points that slip where a probe slides as a whole, and of that on anchored
-ones before this is looked at; how often such a slide is corrected, how well it is known then, and
-at least."""
+"""How often such a slide is corrected."""
+
+_SLID_MM, _SLID_MOST_MM = 1e-4, 2e-3
+"""How well it is known then, and how well at least."""
 
 _STEEPEST = 0.05
 """A probe's surface whose normal has a smaller part along its way doesn't touch."""
