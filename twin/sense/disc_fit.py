@@ -738,23 +738,62 @@ def _sums_of_slopes(fitted, rest, evenly, along):
     """Fill ``along`` (3, 2) with the sums of the changed slopes times ``evenly`` (n, 3), outliers
     bounded, and return whether one exceeds chance."""
     exceeds = False
+    change, sorting = np.empty(len(fitted)), np.empty(len(fitted))
     for axis in range(2):
-        change = fitted[:, SLOPE_X + axis] - rest[:, SLOPE_X + axis]
-        known = np.flatnonzero(np.isfinite(change))
-        if len(known) < LINEAR:
+        count = 0
+        for k in range(len(fitted)):
+            change[k] = fitted[k, SLOPE_X + axis] - rest[k, SLOPE_X + axis]
+            if math.isfinite(change[k]):
+                sorting[count] = change[k]
+                count += 1
+        if count < LINEAR:
             return False
-        middle = np.median(change[known])
-        reach = OUTLYING * 1.4826 * np.median(np.abs(change[known] - middle))
+        middle = _median(sorting[:count])
+        for k in range(count):
+            sorting[k] = abs(sorting[k] - middle)
+        reach = OUTLYING * 1.4826 * _median(sorting[:count])
         squares = 0.0
-        for k in known:
-            bounded = min(max(change[k], middle - reach), middle + reach)
-            squares += bounded * bounded
-            for term in range(3):
-                along[term, axis] += evenly[k, term] * bounded
-        explained = (along[:, axis] ** 2).sum()
-        scatter = math.sqrt(max(squares - explained, 0.0) / len(known))
-        exceeds = exceeds or np.abs(along[:, axis]).max() > RELIT * scatter
+        for k in range(len(fitted)):
+            if math.isfinite(change[k]):
+                bounded = min(max(change[k], middle - reach), middle + reach)
+                squares += bounded * bounded
+                for term in range(3):
+                    along[term, axis] += evenly[k, term] * bounded
+        explained, largest = 0.0, 0.0
+        for term in range(3):
+            explained += along[term, axis] * along[term, axis]
+            largest = max(largest, abs(along[term, axis]))
+        exceeds = exceeds or largest > RELIT * math.sqrt(max(squares - explained, 0.0) / count)
     return exceeds
+
+
+@njit(cache=True)
+def _median(values):
+    """Return the median of values, which are put in another order: Hoare's selection, because
+    ``np.median`` takes a second and a half to compile."""
+    count = len(values)
+    middle, first, last = count // 2, 0, count - 1
+    while first < last:
+        pivot, i, j = values[middle], first, last
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if j < middle:
+            first = i
+        if middle < i:
+            last = j
+    if count % 2 == 1:
+        return values[middle]
+    below = values[0]
+    for k in range(1, middle):
+        below = max(below, values[k])
+    return 0.5 * (below + values[middle])
 
 
 @njit(cache=True)
