@@ -397,15 +397,13 @@ def _neighbours(triangles: Ints) -> Ints:
     return np.array([number[(int(b), int(a))] for a, b in sides], np.int64).reshape(-1, 3)
 
 
-def sharpest_edge(vertices: Points, triangles: Ints) -> tuple[float, Points]:
-    """Return the least angle inside a closed surface between triangles that share an edge, deg, and
-    its place (3,)."""
+def edge_angles(vertices: Points, triangles: Ints) -> tuple[Floats, Floats]:
+    """Return the angles (m, 3) inside a closed surface between triangles that share an edge, deg,
+    and the ends of these edges (m, 3, 2, 3)."""
     corners = vertices[triangles]
     ends, outward, cosine, _, _ = _folds(triangles, corners, _face_normals(corners))
     turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    angle = np.where(outward <= 0.0, 180.0 - turned, 180.0 + turned)
-    worst = np.unravel_index(np.argmin(angle), angle.shape)
-    return float(angle[worst]), np.asarray(ends[worst].mean(axis=0))
+    return np.where(outward <= 0.0, 180.0 - turned, 180.0 + turned), ends
 
 
 def _folds(

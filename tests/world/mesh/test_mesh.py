@@ -324,7 +324,7 @@ def test_needles_and_flat_elements_are_mended_the_same_every_time():
     spoilt = small_mesh(jitter_mm=0.75)
     points, tets = spoilt.points[: spoilt.corners], spoilt.tets[:, :4]
     assert dihedral_angles(points, tets).min() < 5
-    made = [remeshed(points, tets, np.full(len(points), 1.8), 0.1) for _ in range(2)]
+    made = [remeshed(points, tets, np.full(len(points), 1.8), 0.1, 40.0) for _ in range(2)]
     assert dihedral_angles(*made[0]).min() > 12
     for one, other in zip(*made, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -336,7 +336,17 @@ def test_needles_and_flat_elements_are_mended_the_same_every_time():
 def test_a_mesh_that_can_t_be_read_is_refused_not_mended():
     points, tets = block_boxes(SMALL, (3, 3, 3))
     with pytest.raises(MeshError, match="can't be improved"):
-        remeshed(points * [1, 1, 0], tets, np.full(len(points), 1.8), 0.1)
+        remeshed(points * [1, 1, 0], tets, np.full(len(points), 1.8), 0.1, 40.0)
+
+
+def test_edges_of_40_degrees_are_kept_as_a_tower_of_nine_sides_is_meshed(tmp_path):
+    tower = trimesh.creation.cylinder(radius=5, height=12, sections=9)
+    ends = {"held": {"normal": (0, 0, 1)}, "sensing": {"normal": (0, 0, -1)}}
+    file = write_stl(tmp_path / "tower.stl", tower.triangles + np.array([0, 0, 6]))
+    body = Solid(file=str(file), **ends)
+    mesh, measured = build_mesh(body, Sizing.of(body, "sketch"))
+    assert measured.failures() == []
+    assert mesh.enclosed_volume() == pytest.approx(body.volume_mm3, rel=1e-12)
 
 
 @pytest.mark.parametrize("size", [(6, 6, 6), (60, 6, 5), (8, 8, 30), (40, 40, 2), (25, 24, 4)])

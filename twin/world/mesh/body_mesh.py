@@ -28,8 +28,8 @@ import numpy as np
 from twin.arrays import Ints, Points, Progress, coordinates, frozen
 from twin.errors import InputError, MeshError
 from twin.files import MESHES, cache_folder, is_pinned, kept_if_possible, pinned
-from twin.geometry.pieces import TriangleTree, sharpest_edge
-from twin.parts.body import Block, Body
+from twin.geometry.pieces import TriangleTree, edge_angles
+from twin.parts.body import CREASE_DEG, Block, Body
 from twin.parts.part import identity
 from twin.world.mesh.bisection import block_mesh
 from twin.world.mesh.elements import signed_volumes
@@ -247,6 +247,10 @@ START_UNKNOWNS = 4000
 SAME_START, MOST_TRIES = 8, 30
 """Tries from one mesh of the mesher's, and tries in all."""
 
+RIDGE_DEG, _BELOW_CREASES = 40.0, 0.8
+"""Angle between faces at which an edge of the mesher's mesh is kept, and how far that is below the
+flattest edge between pieces: the mesher rounds edges a little."""
+
 SPARE = 1.5
 """A sound mesh of so many times more or fewer unknowns than wanted is taken rather than none."""
 
@@ -286,6 +290,7 @@ def build_mesh(
     finest_mm = min(sizing.fine_mm, sizing.rim_mm)
     surface = outer_surface(body, finest_mm)
     wanted = WantedEdge(body, sizing)
+    ridge_deg = _ridge_deg(body)
     start: tuple[Points, Ints] | None = None
     spare: list[tuple[Mesh, Quality]] = []
     failures: list[str] = []
@@ -299,7 +304,8 @@ def build_mesh(
             if start is None or attempt % SAME_START == 0:
                 start = _start(body, sizing, surface, max(left_s, 1.0))
             edge_mm = scale * wanted(start[0])
-            mesh = snapped_mesh(body, *remeshed(*start, edge_mm, _ENVELOPE * scale * finest_mm))
+            within_mm = _ENVELOPE * scale * finest_mm
+            mesh = snapped_mesh(body, *remeshed(*start, edge_mm, within_mm, ridge_deg))
         except MeshError as problem:
             failures.append(str(problem))
             place = _narrowest(*surface)
@@ -365,13 +371,25 @@ def _refuse_sharp(body: Body) -> None:
     """Refuse at once a wedge so sharp that no element in it can pass the gates."""
     if body.own_surface is None:
         return
-    angle, place = sharpest_edge(*body.own_surface)
+    angles, ends = edge_angles(*body.own_surface)
+    worst = np.unravel_index(np.argmin(angles), angles.shape)
+    angle, place = angles[worst], ends[worst].mean(axis=0)
     if angle < SHARPEST_DEG:
         raise MeshError(
             f"the surface of the {_body_name(body)} has an edge of {angle:.3g} deg at "
             f"({coordinates(place)}) mm, and none below {SHARPEST_DEG:g} deg is meshed: "
             "blunt the edge, or cut the body there"
         )
+
+
+def _ridge_deg(body: Body) -> float:
+    """Return the angle between faces at which an edge is kept as the mesh is improved: below that
+    of each edge at which pieces of the body end."""
+    if body.own_surface is None:
+        return RIDGE_DEG
+    turned = np.abs(180.0 - edge_angles(*body.own_surface)[0])
+    creases = turned[turned >= CREASE_DEG]
+    return min(RIDGE_DEG, _BELOW_CREASES * float(creases.min(initial=180.0)))
 
 
 def _narrowest(vertices: Points, triangles: Ints) -> str:

@@ -94,12 +94,13 @@ def tetrahedralise(
     return _checked_result(request, points, tets)
 
 
-RIDGE_DEG, GROWTH = 40.0, 2.0
-"""Angle between faces at which an edge of the surface is kept, and most that neighbouring edges
-may differ by, as a factor."""
+GROWTH = 2.0
+"""Most that neighbouring edges may differ by, as a factor."""
 
 
-def remeshed(points: Points, tets: Ints, edge_mm: Floats, surface_mm: float) -> tuple[Points, Ints]:
+def remeshed(
+    points: Points, tets: Ints, edge_mm: Floats, surface_mm: float, ridge_deg: float
+) -> tuple[Points, Ints]:
     """Return tetrahedra, ``points`` (k, 3) and ``tets`` (l, 4), of the same body with other edges.
 
     By Mmg (C. Dapogny, C. Dobrzynski, P. Frey 2014, J. Comput. Phys. 262, 358), which splits,
@@ -112,6 +113,8 @@ def remeshed(points: Points, tets: Ints, edge_mm: Floats, surface_mm: float) -> 
         The given mesh, (n, 3) mm and (m, 4), and the (n,) wanted edges at its points, mm.
     surface_mm
         Distance between the given curved surface and the new one, mm: edges become shorter there.
+    ridge_deg
+        Angle between faces from which on an edge of the surface is kept.
 
     Raises
     ------
@@ -123,7 +126,7 @@ def remeshed(points: Points, tets: Ints, edge_mm: Floats, surface_mm: float) -> 
     try:
         mesh = MmgMesh3D(np.array(points), np.array(tets, np.int32))
         mesh["metric"] = edge_mm[:, None]
-        mesh.remesh(ar=RIDGE_DEG, hgrad=GROWTH, hausd=surface_mm, nofem=1, verbose=-1)
+        mesh.remesh(ar=ridge_deg, hgrad=GROWTH, hausd=surface_mm, nofem=1, verbose=-1)
     except (RuntimeError, ValueError) as problem:
         raise MeshError(f"the mesh can't be improved ({problem}); build it again") from problem
     return (
