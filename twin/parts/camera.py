@@ -14,6 +14,7 @@ from twin.arrays import Floats, Pixels, Points
 from twin.parts.part import Angle, Coefficient, Part, Pixel, Place, Share, Size
 
 Power = Annotated[float, Field(ge=0, le=1e3)]
+Gain = Annotated[float, Field(gt=0, le=100)]
 
 Lens = Literal["pinhole", "equidistant"]
 """What each makes of an angle is in `twin.theory.lens`."""
@@ -362,8 +363,30 @@ class Ccd(Part):
     row_noise_e, column_noise_e
         Standard deviations of an offset of each row, another one in every picture, and of each
         column, the same in every picture of a sensor; electrons.
+    haze, haze_px
+        Share of the light that lens and window scatter, and the standard deviation of the Gaussian
+        in which it falls.
+    ghost, ghost_px
+        Share of the light that is mirrored twice between two faces, and how far along columns and
+        rows from its place it falls.
+    smear
+        Light that a pixel gathers while its charge passes the others of its column, as a share of
+        the column's mean: the time of the transfer over that of the exposure.
+    flicker, flicker_hz
+        LEDs that shine as 1 + flicker sin(2 pi flicker_hz t), in another phase in every picture. An
+        exposure of whole periods sees nothing of it; a rolling shutter sees bands.
+    auto_exposure, auto_gain
+        Share of the pixels that are no brighter than ``white_dn`` (times ``exposure``), in every
+        picture; 0 for none. The first changes the light before its noise, the second signal and
+        noise, either by a factor of 100 at most.
+    white_balance
+        Factors on red, green and blue; or ``grey``, by which all have green's mean in every
+        picture.
+    adc_bits
+        Bits to which each pixel is read before white balance and gamma; 0: no rounding but the last
+        one, to 8 bits.
     noise
-        False leaves all noise and every fixed pattern out.
+        False leaves all noise, every fixed pattern and flicker out.
     white_dn
         Count that the brightest of the rest picture is exposed to, be it a marker or the ground
         behind the markers, of which one pixel in a hundred may be brighter.
@@ -415,6 +438,17 @@ class Ccd(Part):
     dead_pixels: int = Field(default=0, ge=0, le=10**6)
     row_noise_e: float = Field(default=0.0, ge=0, le=1e6)
     column_noise_e: float = Field(default=0.0, ge=0, le=1e6)
+    haze: float = Field(default=0.0, ge=0, le=0.9)
+    haze_px: float = Field(default=30.0, ge=0.5, le=4096)
+    ghost: float = Field(default=0.0, ge=0, le=0.5)
+    ghost_px: tuple[Pixel, Pixel] = (8.0, 0.0)
+    smear: float = Field(default=0.0, ge=0, le=1)
+    flicker: Share = 0.0
+    flicker_hz: float = Field(default=100.0, gt=0, le=1e6)
+    auto_exposure: Share = 0.0
+    auto_gain: Share = 0.0
+    white_balance: tuple[Gain, Gain, Gain] | Literal["grey"] | Off = "off"
+    adc_bits: int = Field(default=0, ge=0, le=16)
     exposure: float = Field(default=1.0, gt=0, le=1000)
     black_dn: float | None = Field(default=None, ge=0, le=100)
     bayer: Mosaic | None = None

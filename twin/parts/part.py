@@ -52,6 +52,17 @@ LATER: tuple[tuple[str, object], ...] = (
     ("column_noise_e", 0.0),
     ("frames_per_second", None),
     ("readout_ms", 0.0),
+    ("haze", 0.0),
+    ("haze_px", 30.0),
+    ("ghost", 0.0),
+    ("ghost_px", [8.0, 0.0]),
+    ("smear", 0.0),
+    ("flicker", 0.0),
+    ("flicker_hz", 100.0),
+    ("auto_exposure", 0.0),
+    ("auto_gain", 0.0),
+    ("white_balance", "off"),
+    ("adc_bits", 0),
 )
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so
 that files stored under a hash of all keys stay valid."""

@@ -138,7 +138,9 @@ def photon_transfer(ccd: Ccd, seed: int = 1) -> _PhotonTransfer:
         )
     black = _black_dn(ccd)
     off = {"gamma": 1.0, "psf_px": 0.0, "black_dn": black, "bayer": "none", "interlace": False}
-    chip = ccd.model_copy(update={**off, "bandwidth_mhz": "off", "jpeg_quality": "off"})
+    off |= {"bandwidth_mhz": "off", "jpeg_quality": "off", "white_balance": "off"}
+    off |= dict.fromkeys(("haze", "ghost", "smear", "flicker", "auto_exposure", "auto_gain"), 0)
+    chip = ccd.model_copy(update=off)
     rng = np.random.default_rng(seed)
     pattern = Pattern.drawn(chip, SIZE_PX, rng)
     response = chip.response.sum(axis=1)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.special import ndtr
 from small_scenes import SPLAT, beads, block, changed, mitsuba, rest_of
 
 from twin.errors import RecipeError
@@ -28,7 +29,8 @@ def test_what_is_off_changes_no_description():
     assert set(identity(table["light"])) == {"positions_mm", "exponent", "profile", "radius_mm", "ambient"}
     assert "dust" not in identity(table["camera"])
     assert "gloss" not in identity(table["markers"]["red"])
-    assert not [key for key in identity(table["ccd"]) if "pixels" in key or "row" in key or "column" in key]
+    new = ("pixels", "row", "column", "haze", "ghost", "smear", "flicker", "auto", "balance", "adc")
+    assert not [key for key in identity(table["ccd"]) if any(part in key for part in new)]
 
 
 # LEDs of a colour and a power
@@ -151,6 +153,97 @@ def test_rows_differ_from_picture_to_picture_and_columns_do_not():
     assert abs(np.corrcoef(rows)[0, 1]) < 0.3
     assert np.corrcoef(columns)[0, 1] > 0.99
     assert exposed(0.5, 1).std() == pytest.approx(np.sqrt(12750) / 100, rel=0.1)
+
+
+# What lens, LEDs and the camera's automatics do to the light
+
+
+def counts_of(light, number=1, **keys):
+    """Return the counts of an ideal CCD, of which each is 1/255 of the light."""
+    return expose(np.asarray(light, np.float32), ideal(**keys), np.random.default_rng(number)).astype(float)
+
+
+def ideal(**keys):
+    return Ccd(**{"preset": "ideal", "crosstalk": 0.0, **keys})
+
+
+def patch(rows, columns, size=(120, 160)):
+    light = np.zeros((*size, 3))
+    light[rows, columns] = 0.8
+    return light
+
+
+def test_haze_lays_the_same_light_over_in_a_gaussian():
+    counts = counts_of(patch(np.s_[:], np.s_[80:]), haze=0.4, haze_px=12.0)
+    edge = np.arange(160) - 79.5
+    inner = np.abs(edge) < 40  # the picture's border is farther off than four deviations
+    expected = 255 * 0.8 * (0.6 * (edge > 0) + 0.4 * ndtr(edge / 12))
+    assert_allclose(counts[60, inner, 0], expected[inner], atol=0.6)
+    down = counts_of(patch(np.s_[60:], np.s_[:]), haze=0.4, haze_px=12.0)[20:100, 5, 1]
+    assert_allclose(down, expected[40:120], atol=0.6)
+    assert_allclose(counts_of(np.full((60, 80, 3), 0.5), haze=0.4), 127.5, atol=0.5)
+
+
+def test_a_ghost_is_the_picture_moved_aside():
+    counts = counts_of(patch(np.s_[40:50], np.s_[60:70]), ghost=0.25, ghost_px=(20.5, -15.0))
+    assert (counts[40:50, 60:70] == 204).all()
+    assert (counts[25:35, 81:90] == 51).all()
+    assert_allclose(counts[25:35, [80, 90]], 25.5, atol=0.51)
+    assert (counts > 0).sum() == 3 * (100 + 110)
+    assert_array_equal(counts_of(patch(np.s_[40:50], np.s_[:]), ghost=0.25, ghost_px=(-1000.0, 0.0))[45], 204)
+
+
+def test_smear_gives_a_column_a_share_of_its_mean():
+    counts = counts_of(patch(np.s_[:12], np.s_[30:40]), smear=0.5)
+    assert (counts[60, 30:40] == round(255 * 0.8 / 10 * 0.5)).all()
+    assert (counts[60, 50:] == 0).all()
+
+
+@pytest.mark.parametrize(("exposure_ms", "share"), [(2.5, np.sinc(0.25)), (10.0, 0.0)])
+def test_flicker_makes_bands_under_a_rolling_shutter_unless_an_exposure_is_a_whole_period(exposure_ms, share):
+    keys = {"noise": True, "full_well_e": 1e12, "exposure_ms": exposure_ms, "flicker": 0.3}
+    rolling = {"frames_per_second": 30.0, "readout_ms": 20.0}
+    light = np.full((401, 40, 3), 0.5)
+    for number in (1, 2):
+        rows = counts_of(light, number, **keys, **rolling).mean(axis=(1, 2)) / 127.5 - 1
+        turn = 2 * np.pi * np.arange(401) / 200  # two periods of 10 ms in 20 ms
+        waves = np.column_stack([np.sin(turn), np.cos(turn), np.ones(401)])
+        found = np.linalg.lstsq(waves, rows, rcond=None)[0]
+        assert np.hypot(*found[:2]) == pytest.approx(0.3 * share, abs=0.002)
+        assert_allclose(rows, waves @ found, atol=0.005)
+    assert np.ptp(counts_of(light, **keys)) < 2
+
+
+@pytest.mark.parametrize("key", ["auto_exposure", "auto_gain"])
+def test_automatics_bring_a_quantile_to_white_in_every_picture(key):
+    ramp = np.linspace(0.001, 0.1, 200)[:, None, None] * np.ones((200, 60, 3))
+    pictures = [counts_of(ramp * brighter, **{key: 0.8}) for brighter in (1, 4)]
+    assert_allclose(*pictures, atol=1)
+    assert (pictures[0] > 200.5).all(axis=2).mean() == pytest.approx(0.2, abs=0.01)
+    assert counts_of(ramp * 1e-4, **{key: 0.8}).max() == round(255 * 1e-5 * 100)  # a factor of 100 at most
+
+
+def test_a_gain_makes_noise_larger_than_a_longer_exposure_does():
+    """Shot noise of 10 000 electrons at full wells; a level of 0.02 is brought to 200 counts."""
+    noise = {"noise": True, "full_well_e": 10_000}
+    light = np.full((200, 200, 3), [0.0, 0.02, 0.0])
+    longer, louder = (counts_of(light, **noise, **{key: 0.5})[..., 1].std() for key in ("auto_exposure", "auto_gain"))
+    assert longer == pytest.approx(255 * np.sqrt(200 / 255 / 10_000), rel=0.05)
+    assert louder == pytest.approx(200 * np.sqrt(1 / 200), rel=0.05)
+
+
+def test_white_balance_makes_grey_of_an_even_colour():
+    light = np.full((40, 50, 3), [0.6, 0.4, 0.2])
+    assert_allclose(counts_of(light, white_balance="grey"), 102)
+    assert_allclose(counts_of(light, white_balance=(0.5, 1.0, 2.0))[0, 0], [76, 102, 102], atol=1)
+    assert_allclose(counts_of(light, white_balance="grey", bayer="rggb"), 102)
+
+
+def test_few_bits_before_gamma_leave_gaps_after_it():
+    ramp = np.linspace(0, 1, 4096)[None, :, None] * np.ones((4, 1, 3))
+    assert len(np.unique(counts_of(ramp, adc_bits=6, gamma=2.2))) == 64
+    assert np.unique(counts_of(ramp, adc_bits=8, gamma=2.2))[1] == round(255 * (1 / 255) ** (1 / 2.2))
+    assert_allclose(counts_of(ramp, adc_bits=12), counts_of(ramp), atol=1)
 
 
 # Gloss

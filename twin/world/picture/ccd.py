@@ -1,9 +1,10 @@
 """The CCD: from light on the sensor to 8-bit counts.
 
-The chain follows the hardware: blur by the optics, colour filters, the mosaic, electrons with shot
-and read noise, dark current and the pixels' own gains and offsets (EMVA 1288, secs. 2 and 4), full
-wells, interpolation of the mosaic, gamma, composite video, 8 bits, compression. It acts on the
-rendered light, so one picture can be exposed many times.
+The chain follows the hardware: haze and ghosts, exposure, blur by the optics, colour filters, the
+mosaic, electrons with shot and read noise, dark current and the pixels' own gains and offsets (EMVA
+1288, secs. 2 and 4), full wells, interpolation of the mosaic, gain and white balance, gamma,
+composite video, 8 bits, compression. It acts on the rendered light, so one picture can be exposed
+many times.
 
 Noise is a hash of the pixel's number, so that the bytes are the same on any number of threads. A
 counter and a key are hashed to 32 bits (Widynski, "Squares: a fast counter-based RNG",
@@ -39,6 +40,7 @@ from twin.arrays import Floats, Ints, Picture, Singles
 from twin.compiled import in_parts, njit
 from twin.errors import InputError
 from twin.parts.camera import Ccd
+from twin.world.picture.cover import stretch
 
 Segments = NDArray[np.float32]
 """(n, 2) value at 0 and slope of each straight piece of a function, 64 between two powers of 2."""
@@ -60,6 +62,9 @@ _OCTAVES = 32
 _STEP_PX, _STILL_PX = 0.3, 1e-3
 """How far a marker moves at most between two instants of an exposure, and how far it does while the
 picture is taken for still."""
+
+_MOST_GAIN = 100.0
+"""The most by which a camera brightens a picture of itself."""
 
 _ACTIVE_US = 52.66
 """Duration of the visible part of a line of composite video, us (SMPTE 170M)."""
@@ -145,8 +150,6 @@ def expose(
         mosaic = np.array(["rgb".index(letter) for letter in full.bayer]).reshape(2, 2)
     _check(radiance, mosaic, pattern, before)
     height, width, _ = radiance.shape
-    light = _rows(radiance)
-    earlier = light if before is None else _rows(before)
     gain = dark = _NOTHING
     if pattern is not None and full.noise:
         gain, dark = _rows(pattern.gain), _rows(pattern.dark)
@@ -155,6 +158,9 @@ def expose(
     if full.noise:
         key = rng.integers(2**64, size=2, dtype=np.uint64)
         key[1] |= np.uint64(1)
+    # What falls on the chip, and what the LEDs and the transfer of charge add to it.
+    light = _rows(_on_the_chip(radiance, full, rng))
+    earlier = light if before is None else _rows(_on_the_chip(before, full, rng))
     weights = _blur_weights(full.psf_px)
     response = full.response.astype(np.float32)
     shares: Singles = np.empty((height, width * (3 if mosaic is None else 1)), np.float32)
@@ -173,9 +179,14 @@ def expose(
         rows = rng.standard_normal((height, 1), np.float32)
         shares += np.float32(full.row_noise_e / full.full_well_e) * rows
         np.minimum(shares, 1, out=shares)
-    # The colour mosaic, the gamma curve and the composite video line.
+    if full.adc_bits:
+        steps = np.float32(2**full.adc_bits - 1)
+        shares[:] = np.rint(shares * steps) / steps
+    # The colour mosaic, gains, the gamma curve and the composite video line.
     if mosaic is not None:
         shares = _demosaic(shares, mosaic).reshape(height, -1)
+    if full.auto_gain or full.white_balance != "off":
+        shares *= np.tile(_gains(shares.reshape(height, width, 3), full), width)
     curve = _gamma_curve(full.gamma)
     if isinstance(full.bandwidth_mhz, tuple):
         # Gaussians that pass half the power at the bandwidth, exp(-2 pi^2 s^2 f^2) = 1/sqrt 2.
@@ -204,6 +215,80 @@ def expose(
 
     in_parts(height, counted)
     return _compressed(counts, full.jpeg_quality) if isinstance(full.jpeg_quality, int) else counts
+
+
+def _on_the_chip(light: Singles, full: Any, rng: np.random.Generator) -> Singles:
+    """Return the (height, width, 3) light that reaches the pixels of a CCD (one that is spelt out):
+    with haze, ghost, auto exposure, flicker and smear."""
+    height, width, _ = light.shape
+    if full.haze:
+        # The Gaussian is a mean on coarse nodes, and straight lines between them.
+        down, lines = _scatter(height, full.haze_px)
+        across, columns = _scatter(width, full.haze_px)
+        blurred: Singles = down @ _rows(light)
+        coarse: Singles = blurred.reshape(len(down), width, 3).swapaxes(1, 2) @ across.T
+        finer: Singles = coarse @ columns.T
+        spread: Singles = lines @ _rows(finer.swapaxes(1, 2))
+        light = light + np.float32(full.haze) * (spread.reshape(light.shape) - light)
+    if full.ghost:
+        light = light + np.float32(full.ghost) * _moved(light, *full.ghost_px)
+    if full.auto_exposure:
+        brightest = (light[::2, ::2] @ full.response.T.astype(np.float32)).max(axis=2)
+        level = float(np.quantile(brightest, full.auto_exposure))
+        light = light * _gain_to(full.white_level, level)
+    if full.noise and full.flicker:
+        # The mean of the sine over a row's exposure.
+        turns = full.flicker_hz * full.readout_ms / 1000 * np.arange(height) / max(height - 1, 1)
+        phase = 2 * np.pi * (turns + rng.uniform())
+        mean = np.sinc(full.flicker_hz * full.exposure_ms / 1000) * np.sin(phase)
+        light = light * (1 + full.flicker * mean)[:, None, None].astype(np.float32)
+    if full.smear:
+        light = light + np.float32(full.smear) * light.mean(axis=0)
+    return light
+
+
+@lru_cache(maxsize=4)
+def _scatter(size: int, spread_px: float) -> tuple[Singles, Singles]:
+    """Return (n, size) means of a line of pixels under Gaussians at n places, a quarter of their
+    standard deviation apart, and the (size, n) matrix of lines between these places."""
+    count = min(size, math.ceil(4 * size / spread_px) + 1)
+    nodes = np.linspace(0, size - 1, count)
+    weights = np.exp(-(((nodes[:, None] - np.arange(size)) / spread_px) ** 2) / 2)
+    means = weights / weights.sum(axis=1, keepdims=True)
+    return means.astype(np.float32), stretch(nodes, size).astype(np.float32)
+
+
+def _moved(light: Singles, columns: float, rows: float) -> Singles:
+    """Return a (height, width, 3) picture moved aside by px, dark where it came from."""
+    moved = light
+    for axis, by in enumerate((rows, columns)):
+        size = light.shape[axis]
+        whole = min(max(math.floor(by), -size - 1), size)
+        source, moved = np.moveaxis(moved, axis, 0), np.zeros_like(light)
+        for step, part in ((whole, 1 - (by - math.floor(by))), (whole + 1, by - math.floor(by))):
+            here = slice(max(step, 0), max(size + min(step, 0), 0))
+            there = slice(max(-step, 0), max(size - max(step, 0), 0))
+            np.moveaxis(moved, axis, 0)[here] += np.float32(part) * source[there]
+    return moved
+
+
+def _gains(shares: Singles, full: Any) -> Singles:
+    """Return (3,) factors on the channels of a (height, width, 3) picture."""
+    some = shares[::2, ::2]
+    gains = np.ones(3)
+    if full.white_balance == "grey":
+        red, green, blue = some.mean(axis=(0, 1), dtype=float)
+        gains = np.array([_gain_to(green, red), 1.0, _gain_to(green, blue)])
+    elif full.white_balance != "off":
+        gains = np.array(full.white_balance)
+    if full.auto_gain:
+        level = float(np.quantile((some * gains).max(axis=2), full.auto_gain))
+        gains = gains * _gain_to(full.white_level, level)
+    return gains.astype(np.float32)
+
+
+def _gain_to(wanted: float, level: float) -> np.float32:
+    return np.float32(_MOST_GAIN if level * _MOST_GAIN < wanted else wanted / level)
 
 
 def shutter(ccd: Ccd, height: int, speed_px_s: float) -> tuple[Floats, Singles]:
