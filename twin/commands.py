@@ -448,7 +448,8 @@ def scenes(
     *,
     new: Annotated[Path | None, Parameter(help="Write a recipe of this name (.toml).")] = None,
     size_mm: Annotated[
-        tuple[float, float, float], Parameter(help="Width, length and thickness of the pad, mm.")
+        tuple[float, float, float],
+        Parameter(help="Width (along the picture's rows), length and thickness of the pad, mm."),
     ] = (25.0, 25.0, 4.0),
     modulus_mpa: Annotated[float, Parameter(help="Young's modulus, MPa.")] = 0.2,
     depth_mm: _Layers = (),
@@ -564,7 +565,8 @@ def check(
         return
     from twin.study.check import check_path
 
-    print("\n".join(check_path(file)))
+    with _scene_named(file):
+        print("\n".join(check_path(file)))
 
 
 def doctor(*, json_: Json = False) -> None:

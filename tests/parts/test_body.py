@@ -87,6 +87,17 @@ def test_markers_outside_the_body_and_beads_that_overlap_are_refused(depth, pitc
         place(BODIES[0], {"red": MarkerLayer(diameter_mm=0.5, colour=(1, 0, 0), **grid)})
 
 
+def test_a_layout_that_fits_the_turned_block_says_so():
+    block = Block(width_mm=18, length_mm=24, thickness_mm=4)
+    for columns, rows, turned in ((15, 11, True), (15, 15, False)):
+        layer = MarkerLayer(
+            kind="print", depth_mm=1, pitch_mm=1.5, diameter_mm=0.5, columns=columns, rows=rows, colour=(0, 0, 0)
+        )
+        with pytest.raises(RecipeError) as refused:
+            place(block, {"red": layer})
+        assert ("exchange body.width_mm" in str(refused.value)) == turned
+
+
 def test_the_fingers_back_is_free_unless_held():
     finger = FINGER
     assert [finger.pieces[k] for k in finger.held_pieces] == ["held"]

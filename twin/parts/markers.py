@@ -249,7 +249,8 @@ def place(
     radii = [layer.diameter_mm / 2 if layer.kind == "bead" else 0.0 for layer in layers.values()]
     points = body.chart_points(chart, depth)
     # A marker must lie inside the body, and a bead whole.
-    room = body.piece_distances(points).min(axis=1) - np.repeat(radii, sizes)
+    radii_mm = np.repeat(radii, sizes)
+    room = body.piece_distances(points).min(axis=1) - radii_mm
     bad = (room < 0) | (np.abs(body.depth(points) - depth) > 1e-6)
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
@@ -257,7 +258,7 @@ def place(
         raise RecipeError(
             f"markers.{names[first]}: {int(bad.sum())} of {len(points)} markers lie outside the "
             f"body, the first at ({x:.3g}, {y:.3g}, {z:.3g}) mm: reduce depth_mm, pitch_mm, "
-            "columns, rows or diameter_mm"
+            f"columns, rows or diameter_mm{_if_turned(body, points, radii_mm)}"
         )
     return MarkerSet(
         layer=frozen(names),
@@ -265,6 +266,14 @@ def place(
         points=frozen(points),
         normals=frozen(np.array(body.piece_normals(points)[:, 0])),
     )
+
+
+def _if_turned(body: Body, points: Floats, radii_mm: Floats) -> str:
+    """Return a hint if the markers would lie in a block whose sides were exchanged."""
+    turned = body.piece_distances(points[:, [1, 0, 2]]).min(axis=1) >= radii_mm
+    if not (isinstance(body, Block) and turned.all()):
+        return ""
+    return "; or exchange body.width_mm (along x, the picture's rows) and body.length_mm"
 
 
 def _gaps(name: str, layers: Mapping[str, MarkerLayer]) -> list[tuple[str, float]]:

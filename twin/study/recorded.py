@@ -863,6 +863,11 @@ class _Summary:
                 f"sites' sum  {', '.join(parts)} N there, of sites that only push or obey "
                 "friction; the total above is solved without these bounds"
             )
+        if abs(row["fz_n"]) < 3.0 * row["sd_fz_n"] and row["sd_fz_n"] > 3.0 * row["sd_fx_n"]:
+            lines.append(
+                "push        uncertain, as ± Fz says: one layer of dots hardly shows it; "
+                "a second layer helps (docs/one_layer.md)"
+            )
         return lines
 
 
