@@ -166,19 +166,17 @@ Nor do those that are all of one level."""
 
 def repeats_blocks(before: Picture, picture: Picture) -> bool:
     """Return whether blocks of a picture (h, w, 3) are those of the picture ``before``."""
-    half = BLOCK // 2
-    pairs = (before, picture), (before[half:, half:], picture[half:, half:])
-    least = min(_share_repeated(*pair) for pair in pairs)
+    least = min(_share_repeated(before, picture, begin) for begin in (0, BLOCK // 2))
     return bool(REPEATED < least < SAME_PICTURE)
 
 
 @njit(cache=True)
-def _share_repeated(before, picture):
-    """Return the share of the blocks, but dark and even ones, that are the same in both
-    pictures."""
+def _share_repeated(before, picture, begin):
+    """Return the share of the blocks from row and column ``begin`` on, but dark and even ones, that
+    are the same in both pictures."""
     same, other = 0, 0
-    for row in range(0, picture.shape[0] - BLOCK + 1, BLOCK):
-        for column in range(0, picture.shape[1] - BLOCK + 1, BLOCK):
+    for row in range(begin, picture.shape[0] - BLOCK + 1, BLOCK):
+        for column in range(begin, picture.shape[1] - BLOCK + 1, BLOCK):
             alike, even, highest = True, True, 0
             for y in range(row, row + BLOCK):
                 for x in range(column, column + BLOCK):

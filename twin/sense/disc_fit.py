@@ -79,7 +79,7 @@ from twin.sense.template import (
     SCALE,
     SHAPE,
     SHORTFALL,
-    SLOPE_X,
+    SLOPES,
     SMALLER,
     SQUARES,
     STEP,
@@ -396,8 +396,22 @@ class DiscFit(SoftWindow):
         are found, and agree, has it changed: pixels that lie alike on all markers feign slopes.
         """
         size, rest = self.look.picture_px, self.templates.rest
-        along = np.zeros((3, 2))
-        if not _sums_of_slopes(fitted, rest, self._evenly, along):
+        # The sums of the changed slopes, outliers bounded, times a constant and two slopes.
+        change, evenly = fitted[:, SLOPES] - rest[:, SLOPES], self._evenly
+        known = np.isfinite(change[:, 0])
+        count = int(np.count_nonzero(known))
+        if count < LINEAR:
+            return None
+        if count < len(known):
+            change, evenly = change[known], evenly[known]
+        middle = _middle(change)
+        change = change - middle
+        reach = OUTLYING * 1.4826 * _middle(np.abs(change))
+        bounded = np.minimum(np.maximum(change, -reach), reach) + middle
+        along = evenly.T @ bounded
+        squares = (along * along).sum(axis=0)
+        left = np.maximum((bounded * bounded).sum(axis=0) - squares, 0.0)
+        if (np.abs(along).max(axis=0) <= RELIT * np.sqrt(left / count)).all():
             return None
         known = np.isfinite(fitted[:, LEVEL] / rest[:, LEVEL])
         places = fitted[known, CENTRE]
@@ -624,6 +638,12 @@ def _quantiles(values: Floats, *shares: float) -> list[float]:
     return [float(ranked[round(share * last)]) for share in shares]
 
 
+def _middle(values: Floats) -> Floats:
+    """Return the medians of the columns of ``values`` (n, q), none of which is NaN."""
+    ranked, count = np.sort(values, axis=0), len(values)
+    return np.asarray(0.5 * (ranked[(count - 1) // 2] + ranked[count // 2]))
+
+
 def _square(vectors: Floats) -> Floats:
     """Return (n,) the squared lengths of vectors (n, 2)."""
     return np.asarray(vectors[:, 0] ** 2 + vectors[:, 1] ** 2)
@@ -731,69 +751,6 @@ def _edge_sds(
         beyond += np.fmax(fitted[:, DIFFERENCE], 0.0) ** 2
     covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
     return np.asarray(np.sqrt(sd**2 + covered**2 + beyond))
-
-
-@njit(cache=True)
-def _sums_of_slopes(fitted, rest, evenly, along):
-    """Fill ``along`` (3, 2) with the sums of the changed slopes times ``evenly`` (n, 3), outliers
-    bounded, and return whether one exceeds chance."""
-    exceeds = False
-    change, sorting = np.empty(len(fitted)), np.empty(len(fitted))
-    for axis in range(2):
-        count = 0
-        for k in range(len(fitted)):
-            change[k] = fitted[k, SLOPE_X + axis] - rest[k, SLOPE_X + axis]
-            if math.isfinite(change[k]):
-                sorting[count] = change[k]
-                count += 1
-        if count < LINEAR:
-            return False
-        middle = _median(sorting[:count])
-        for k in range(count):
-            sorting[k] = abs(sorting[k] - middle)
-        reach = OUTLYING * 1.4826 * _median(sorting[:count])
-        squares = 0.0
-        for k in range(len(fitted)):
-            if math.isfinite(change[k]):
-                bounded = min(max(change[k], middle - reach), middle + reach)
-                squares += bounded * bounded
-                for term in range(3):
-                    along[term, axis] += evenly[k, term] * bounded
-        explained, largest = 0.0, 0.0
-        for term in range(3):
-            explained += along[term, axis] * along[term, axis]
-            largest = max(largest, abs(along[term, axis]))
-        exceeds = exceeds or largest > RELIT * math.sqrt(max(squares - explained, 0.0) / count)
-    return exceeds
-
-
-@njit(cache=True)
-def _median(values):
-    """Return the median of values, which are put in another order: Hoare's selection, because
-    ``np.median`` takes a second and a half to compile."""
-    count = len(values)
-    middle, first, last = count // 2, 0, count - 1
-    while first < last:
-        pivot, i, j = values[middle], first, last
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while pivot < values[j]:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if j < middle:
-            first = i
-        if middle < i:
-            last = j
-    if count % 2 == 1:
-        return values[middle]
-    below = values[0]
-    for k in range(1, middle):
-        below = max(below, values[k])
-    return 0.5 * (below + values[middle])
 
 
 @njit(cache=True)

@@ -139,6 +139,7 @@ SLOPE_X, SLOPE_Y = VAR_TILTED + 1, VAR_TILTED + 2
 COLUMNS = SLOPE_Y + 1
 CENTRE, VARIANCE = slice(CENTRE_X, CENTRE_Y + 1), slice(VAR_X, VAR_Y + 1)
 THIRD, TILTED = slice(THIRD_X, THIRD_Y + 1), slice(TILTED_X, TILTED_Y + 1)
+SLOPES = slice(SLOPE_X, SLOPE_Y + 1)
 """What `Templates.fit` gives for a marker: centre, level, ground, scale against the template;
 variances of the centre; share of the edge in sight; sum of squared residuals over how many pixels;
 last step in px; squared residuals over their expected size; share of the edge in sight that fits;
