@@ -204,7 +204,7 @@ CAMERAS = Room(
             "effects",
             "What real sensors have, off above and on below, brightened: red LEDs of unequal power; LEDs as discs that "
             "the window mirrors; dust on the window; hot and dead pixels, and noise of rows and columns; glossy "
-            "beads, by `path`.",
+            "beads.",
             """
             effects = {
                 "light.colours": [[1, 0.2, 0.1], [1, 0.2, 0.1], [0.2, 0.04, 0.02], [0.2, 0.04, 0.02]],
@@ -214,12 +214,10 @@ CAMERAS = Room(
                 "markers.red.gloss": [1.8, 0.05],
             }
             plain = {"light.positions_mm": [[11, 8, 105], [-11, 8, 105], [11, -8, 105], [-11, -8, 105]]}
-            path = {"renderer": "path", "camera.width_px": 320, "camera.height_px": 240}
             figure, axes = plt.subplots(2, 5, figsize=(13, 4.2), layout="constrained")
             for column, (key, value) in zip(axes.T, effects.items()):
                 for ax, more in zip(column, ({}, {key: value})):
-                    more = plain | (path if "gloss" in key else {}) | more
-                    scene = twin.load_scene("kamiyama_pillar", more)
+                    scene = twin.load_scene("kamiyama_pillar", plain | more)
                     ax.imshow((twin.Sensor(scene).picture(None)[75:165, 110:230] / 255) ** 0.5)
                 column[0].set_title(key)
             """,

@@ -54,7 +54,7 @@ class MarkerLayer(Part):
         Diffuse reflectance in the camera's red, green and blue channels.
     gloss
         Refractive index, above the rubber's, and roughness of a smooth skin over the colour: GGX's
-        alpha, 0.01 to 1, small for sharp highlights. Only ``renderer = "path"`` draws it.
+        alpha, 0.01 to 1, small for sharp highlights.
     stiff
         Whether the truth takes the beads as rigid against the rubber: each moves with the mean of
         the field over its surface and pushes back on the rubber, which moves all markers, to first

@@ -93,7 +93,7 @@ class PictureJob:
         (k, leds) shares of these powers by channel, and the (k,) colour of the even light: of
         `Light.tints`, k = 1 for white light.
     occluder_first, occluder_members
-        `_occluders` of each marker and lamp.
+        `occluders` of each marker and lamp.
     colour
         (n, 3) reflectance.
     """
@@ -186,7 +186,7 @@ class PictureJob:
         gram = np.swapaxes(axes, 1, 2) @ axes
         longest = np.sqrt(np.abs(gram).sum(axis=2).max(axis=1, initial=0.0))
         wanted = here[:, None] & (lamps.power > 0) & shadows
-        occluder_first, occluder_members = _occluders(
+        occluder_first, occluder_members = occluders(
             np.where(here[:, None], centres, np.nan), longest, lamps.place, wanted
         )
         # Lengths are in units of ``unit_mm``, so that single precision is enough.
@@ -225,7 +225,7 @@ class Shader(Protocol):
         marker's place, and (m,) the share of each pixel that they leave free."""
 
 
-def _occluders(
+def occluders(
     centres: Floats, radii: Floats, places: Floats, wanted: Bools
 ) -> tuple[Indices, Indices]:
     """Return, for each marker and lamp, the markers that may shadow it; too many when in doubt,
@@ -278,7 +278,7 @@ def _occluder_lists(
     first: Indices,
     members: Indices,
 ) -> int:
-    """Write the lists of `_occluders`, as far as ``members`` has room; return the room needed.
+    """Write the lists of `occluders`, as far as ``members`` has room; return the room needed.
 
     ``order`` has the markers cell by cell, ``begin`` where each cell begins in it; ``grid`` has the
     cells' corner and their number in a mm, for x and y.

@@ -25,6 +25,7 @@ from twin.world.picture.backend import FORCE, Variant
 from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
+from twin.world.picture.highlights import highlights
 from twin.world.picture.lamps import Lamps
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
 from twin.world.picture.picture_job import PictureJob, Shader
@@ -127,15 +128,15 @@ class Renderer:
         MissingCapability
             The scene asks for Mitsuba, which doesn't work here.
         RecipeError
-            It asks for gloss where that is not drawn.
+            A glossy skin of a smaller index than the rubber's.
         """
         asked = scene.renderer
         index = scene.material.refractive_index
         for name, layer in scene.markers.items():
-            if layer.gloss and (asked != "path" or layer.gloss[0] <= index):
+            if layer.gloss and layer.gloss[0] <= index:
                 raise RecipeError(
-                    f"markers.{name}.gloss = {layer.gloss}: needs renderer = 'path', the only one "
-                    f"that draws it, and an index above the rubber's {index:g}"
+                    f"markers.{name}.gloss = {layer.gloss}: the skin's index must be above that of "
+                    f"the rubber, material.refractive_index = {index:g}"
                 )
         if asked == "splat":
             return Variant.choose("splat")
@@ -193,11 +194,11 @@ class Renderer:
         factor = self._cover_factor(cover)
         if not self._pupils:
             job = self._job(markers, self.subpixels)
-            return self._over_cover(job, *self._shader.shade(job), factor)
+            return self._over_cover(markers, job, *self._shader.shade(job), factor)
         light: Singles = np.zeros_like(self._view.cover)
         for weight, part in zip(PUPIL_WEIGHTS, self._pupils, strict=True):
             job = part._job(markers, self.subpixels)
-            one = part._over_cover(job, *part._shader.shade(job), factor)
+            one = part._over_cover(markers, job, *part._shader.shade(job), factor)
             light += np.float32(weight) * one
         return light
 
@@ -209,7 +210,8 @@ class Renderer:
             return self.radiance(markers, cover), self.outlines(markers)
         job = self._job(markers, self.subpixels)
         marks, free, outlines = self._splat.look(job)
-        return self._over_cover(job, marks, free, self._cover_factor(cover)), outlines
+        light = self._over_cover(markers, job, marks, free, self._cover_factor(cover))
+        return light, outlines
 
     def _cover_factor(self, cover: CoverMotion | None) -> Singles | None:
         """Return (height, width, k) factors on the cover's light, None at rest."""
@@ -217,9 +219,15 @@ class Renderer:
         return None if cover is None or background is None else background.change(cover)
 
     def _over_cover(
-        self, job: PictureJob, marks: Singles, free: Singles, factor: Singles | None
+        self,
+        markers: Ellipsoids,
+        job: PictureJob,
+        marks: Singles,
+        free: Singles,
+        factor: Singles | None,
     ) -> Singles:
-        """Return the picture: (m, 3) light of markers over what they leave free of the cover."""
+        """Return the picture: (m, 3) light of markers, and their highlights, over what they leave
+        free of the cover."""
         light = self._view.cover.copy()
         if factor is not None:
             light *= factor
@@ -228,6 +236,9 @@ class Renderer:
         seen *= free[:, None]
         seen += marks * self._view.vignette.ravel().take(job.pixels)[:, None]
         there[job.pixels] = seen
+        if markers.gloss is not None and self.scene.imaging[1].ambient < 1:
+            bright = highlights(markers, self.scene, self._top)
+            light += bright * self._view.vignette[:, :, None]
         if self._view.veil is not None:
             light += self._view.veil
         return light
