@@ -23,7 +23,7 @@ from twin.sense.track import Found
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
-from twin.theory.limit import design_limit
+from twin.theory.limit import Limit
 
 NOISE_PX, FRICTION = 0.05, 0.6
 WAYS: dict[str, dict[str, Any]] = {
@@ -175,7 +175,7 @@ def width(sensor: Sensor, apart: Floats, times: int) -> list[dict[str, Any]]:
             "what": f"point push, {name}", "width mm": wide, "two points mm": two_point_distance(apart, np.array(dips)),
         })  # fmt: skip
     layers = scene.markers.values()
-    limit = design_limit(
+    limit = Limit.of(
         depth_mm=np.array([[v.depth_mm for v in layers]]), pitch_mm=np.array([[v.pitch_mm for v in layers]]),
         noise_mm=np.full((1, 2), NOISE_PX * 0.05), youngs_modulus_mpa=np.array([scene.material.youngs_modulus_mpa]),
         poisson_ratio=np.array([scene.material.poisson_ratio]), force_n=np.array([3.0]), radius_mm=np.array([2.5]),

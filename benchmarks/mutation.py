@@ -101,6 +101,7 @@ def opened(folder: Path) -> Any:
     code = folder / "code"
     if not code.is_dir():
         subprocess.run(["git", "worktree", "add", "--detach", str(code)], cwd=ROOT, check=True)
+    subprocess.run(["git", "checkout", "-q", "."], cwd=code, check=True)  # a killed run leaves its wrong line
     session = WorkDB(str(folder / "session.sqlite"), WorkDB.Mode.create)
     if not session.num_work_items:
         with chdir(code):

@@ -25,7 +25,7 @@ from twin.arrays import Floats, Points
 from twin.parts.press import Cylinder, Probe, Sphere
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
-from twin.world.contact.probe_gap import approach
+from twin.world.contact.probe_gap import Approach
 from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.interpolate import Locator, Places
@@ -101,7 +101,7 @@ def below(case: Case, finer: float = 1.0) -> Mesh:
 def _pressed(case: Case, levels: tuple[float, ...], finer: float = 1.0) -> Iterator[dict[str, Any]]:
     scene = load_scene(case.scene, {"tolerance.preset": "none"})
     body, modulus = scene.body, scene.material.youngs_modulus_mpa
-    mesh, start = below(case, finer), approach(case.probe, scene.body, np.array(case.at_mm))
+    mesh, start = below(case, finer), Approach.of(case.probe, scene.body, np.array(case.at_mm))
     markers = Sensor(scene).actual.markers.points
     locator = Locator(mesh)
     at_markers = locator.locate(markers)

@@ -8,7 +8,7 @@ from drawn import flat_layout
 
 from benchmarks.discs import expose, scene
 from twin.sense.centre import Look
-from twin.sense.detect import find_blobs
+from twin.sense.detect import Blobs
 from twin.sense.paper_centroid import PaperCentroid
 from twin.sense.template import LANES, disc, gather
 from twin.sense.track import Tracker
@@ -18,13 +18,13 @@ def test_markers_wider_than_the_picture_take_no_memory() -> None:
     """Windows as wide as the markers are made: at 1e6 px they were larger than any machine's memory."""
     signal = np.zeros((60, 80), np.float32)
     signal[25:36, 35:46] = 100
-    assert len(find_blobs(signal, 1e6, 10.0)) == len(find_blobs(signal, 80.0, 10.0))
+    assert len(Blobs.found_in(signal, 1e6, 10.0)) == len(Blobs.found_in(signal, 80.0, 10.0))
 
 
 def cells(picture, starts, cell_px, weights, ground, least):
     """Centroids of the paper's cells around ``starts``, px."""
     shown = {"weights": weights, "floor_dn": 0.0, "ground_dn": ground, "contrast_dn": least, "diameter_px": 10.0}
-    spots, nominal = find_blobs(picture[..., 0] * 1.0, 10.0, 1e9), np.array(starts, float)
+    spots, nominal = Blobs.found_in(picture[..., 0] * 1.0, 10.0, 1e9), np.array(starts, float)
     look = Look(rows=np.arange(len(nominal)), nominal_px=nominal, picture_px=(1, 1), blobs=spots, **shown)
     (found,) = PaperCentroid.at_rest(picture, [look], cell_px, True)
     return found.around.rest_px

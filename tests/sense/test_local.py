@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 from benchmarks.inverse import widths
 from twin.sense.inverse import METHODS
 from twin.sense.reconstruct import reconstruct
-from twin.theory.limit import design_limit
+from twin.theory.limit import Limit
 
 FLAT, FINGER = flat_sensor(), finger_sensor()
 
@@ -48,7 +48,7 @@ def test_width_reaches_the_design_limit():
     markers, seen, calibration = flat_sensor(13, 13, pitch=1.0)
     clean = shifts(markers, seen, *disk((0.2, -0.3), 0.3, (0, 0, 3.0)))
     one = np.ones(1)
-    limit = design_limit(
+    limit = Limit.of(
         depth_mm=np.array([[3.0, 6.0]]), pitch_mm=np.full((1, 2), 1.5), noise_mm=np.full((1, 2), 0.05 / 20),
         youngs_modulus_mpa=one, poisson_ratio=0.5 * one, force_n=3.0 * one, radius_mm=2.5 * one,
     ).fwhm_normal_mm[0]  # fmt: skip

@@ -12,7 +12,7 @@ from standard_bodies import rectangles
 
 from twin.errors import InputError
 from twin.theory import halfspace, limit
-from twin.theory.limit import Limit, centre_bound, design_limit, layer_rows, pixel_sd
+from twin.theory.limit import Limit, centre_bound, layer_rows, pixel_sd
 
 FLAT = dict(
     depth_mm=[[3.0, 6.0]],
@@ -63,7 +63,7 @@ def test_one_layer_cannot_tell_push_from_shear():
 
 
 def _flat(**changes):
-    return design_limit(**{**FLAT, **changes})
+    return Limit.of(**{**FLAT, **changes})
 
 
 def test_lengths_scale_exactly_and_stiffness_acts_as_noise():

@@ -88,6 +88,51 @@ class Blobs:
         """(b,) diameters of circles of the same area, px."""
         return np.asarray(2.0 * np.sqrt(self.area_px / np.pi))
 
+    @staticmethod
+    def found_in(
+        signal: Signal, diameter_px: float, contrast_dn: float, floor_dn: float = -np.inf
+    ) -> Blobs:
+        """Find and measure the marker-like spots of a signal.
+
+        Parameters
+        ----------
+        signal
+            (h, w) counts.
+        diameter_px
+            About how wide the markers are, px; a factor of two either way does no harm.
+        contrast_dn
+            Least contrast of a spot above its surroundings.
+        floor_dn
+            Where the signal is cut off: a pixel near it shows another layer's colour.
+        """
+        # windows are as large: none is larger than the picture
+        diameter_px = min(diameter_px, float(max(signal.shape)))
+        half = max(1, round(0.3 * diameter_px))
+        smooth = _smoothed(signal, half)
+        broad = _smoothed(signal, max(2 * half + 2, round(1.5 * diameter_px)))
+        peaks = np.empty((MOST_SPOTS, 2), np.int64)
+        radius = max(2, round(0.5 * diameter_px))
+        peaks = peaks[: _peaks(smooth, broad, radius, np.float32(contrast_dn), peaks)]
+        out = np.zeros((len(peaks), 8))
+        reach, rim = int(np.ceil(1.5 * diameter_px)) + 2, int(np.ceil(0.5 * diameter_px))
+        mark = np.zeros(signal.shape, np.int32)
+        work = (mark, np.empty(((2 * reach + 3) ** 2 * 4, 2), np.int64), np.empty(4, np.int64))
+        sizes = (reach, rim + 3, rim + 7)
+        _measure(signal, smooth, peaks, *sizes, CROWD * float(floor_dn), *work, out)
+        out = out[(out[:, 5] >= 4) & (out[:, 4] >= contrast_dn)]
+        # of peaks that flooded into one spot (equal centres) only the first
+        _, first = np.unique(np.rint(out[:, :2] * 4).astype(np.int64), axis=0, return_index=True)
+        out = out[np.sort(first)]
+        return Blobs(
+            centre_px=np.ascontiguousarray(out[:, :2]),
+            sd_px=np.sqrt(np.mean(out[:, 2:4], axis=1) + SD_FLOOR_PX**2),
+            level_dn=out[:, 4].copy(),
+            area_px=out[:, 5].copy(),
+            crowding=out[:, 6].copy(),
+            whole=out[:, 7] == 1.0,
+            cut=out[:, 7] == 0.5,
+        )
+
 
 @njit(cache=True)
 def _ring(signal, column, row, inner, outer, top):
@@ -410,48 +455,3 @@ def _smoothed(signal: Signal, half: int) -> Signal:
     across, down = np.empty_like(signal), np.empty_like(signal)
     _box(signal, half, across, np.zeros(signal.shape[1]), down)
     return down
-
-
-def find_blobs(
-    signal: Signal, diameter_px: float, contrast_dn: float, floor_dn: float = -np.inf
-) -> Blobs:
-    """Find and measure the marker-like spots of a signal.
-
-    Parameters
-    ----------
-    signal
-        (h, w) counts.
-    diameter_px
-        About how wide the markers are, px; a factor of two either way does no harm.
-    contrast_dn
-        Least contrast of a spot above its surroundings.
-    floor_dn
-        Where the signal is cut off: a pixel near it shows another layer's colour.
-    """
-    # windows are as large: none is larger than the picture
-    diameter_px = min(diameter_px, float(max(signal.shape)))
-    half = max(1, round(0.3 * diameter_px))
-    smooth = _smoothed(signal, half)
-    broad = _smoothed(signal, max(2 * half + 2, round(1.5 * diameter_px)))
-    peaks = np.empty((MOST_SPOTS, 2), np.int64)
-    radius = max(2, round(0.5 * diameter_px))
-    peaks = peaks[: _peaks(smooth, broad, radius, np.float32(contrast_dn), peaks)]
-    out = np.zeros((len(peaks), 8))
-    reach, rim = int(np.ceil(1.5 * diameter_px)) + 2, int(np.ceil(0.5 * diameter_px))
-    mark = np.zeros(signal.shape, np.int32)
-    work = (mark, np.empty(((2 * reach + 3) ** 2 * 4, 2), np.int64), np.empty(4, np.int64))
-    sizes = (reach, rim + 3, rim + 7)
-    _measure(signal, smooth, peaks, *sizes, CROWD * float(floor_dn), *work, out)
-    out = out[(out[:, 5] >= 4) & (out[:, 4] >= contrast_dn)]
-    # of peaks that flooded into one spot (equal centres) only the first
-    _, first = np.unique(np.rint(out[:, :2] * 4).astype(np.int64), axis=0, return_index=True)
-    out = out[np.sort(first)]
-    return Blobs(
-        centre_px=np.ascontiguousarray(out[:, :2]),
-        sd_px=np.sqrt(np.mean(out[:, 2:4], axis=1) + SD_FLOOR_PX**2),
-        level_dn=out[:, 4].copy(),
-        area_px=out[:, 5].copy(),
-        crowding=out[:, 6].copy(),
-        whole=out[:, 7] == 1.0,
-        cut=out[:, 7] == 0.5,
-    )

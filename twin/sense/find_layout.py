@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from twin.arrays import Floats, Ints, Picture, Pixels, frozen
 from twin.errors import InputError
 from twin.sense.colour import Signal, Weights, as_picture, projections
-from twin.sense.detect import CUT, Blobs, find_blobs
+from twin.sense.detect import CUT, Blobs
 
 COARSE_PX = 60
 """Shorter side of the picture of which the ground is taken."""
@@ -272,7 +272,7 @@ def _lattice_at(
     signal: Signal, width_px: float, contrast: float, floor: float, weights: Weights
 ) -> _Layer:
     """Return the lattice of the spots that are about as wide as ``width_px``."""
-    blobs = find_blobs(signal, width_px, contrast, floor)
+    blobs = Blobs.found_in(signal, width_px, contrast, floor)
     keep = blobs.whole & (blobs.diameter_px > 0.5 * width_px) & (blobs.diameter_px < 2.0 * width_px)
     if keep.any():
         keep &= blobs.level_dn > FAINT * np.quantile(blobs.level_dn[keep], 0.9)

@@ -7,7 +7,7 @@ as the print's tolerance states. The load cell's errors, and where and how widel
 are unknown as well, but nearly linear, so they are eliminated press by press. What is left is
 whitened least squares by Gauss-Newton.
 
-The design comes in as something to ask (`Design`): this module knows neither body nor mesh.
+The design comes in as something to ask (`_Design`): this module knows neither body nor mesh.
 
 Validity: what the design can't express (cover, contact, mesh) ends up in the residual and is stated
 as ``model_px``.
@@ -70,7 +70,7 @@ class Presses:
     noise_px: float
 
 
-class Design(Protocol):
+class _Design(Protocol):
     """What is fitted: parameters, and what they predict."""
 
     @property
@@ -138,7 +138,7 @@ class Fit:
     left_out: Floats
 
     @classmethod
-    def of(cls, design: Design, presses: Presses) -> Fit:
+    def of(cls, design: _Design, presses: Presses) -> Fit:
         """Fit a design to measured presses and the rest picture.
 
         Raises
@@ -193,7 +193,7 @@ def _check(presses: Presses) -> None:
 class _Residuals:
     """Whitened residuals: parameters, print errors, shifts and load cell, in this order."""
 
-    design: Design
+    design: _Design
     presses: Presses
     noise_px: float
 

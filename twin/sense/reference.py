@@ -26,7 +26,7 @@ from twin.sense.colour import (
     estimate_channels,
     project,
 )
-from twin.sense.detect import Blobs, find_blobs
+from twin.sense.detect import Blobs
 from twin.sense.disc_fit import DiscFit
 from twin.sense.match import spacing
 from twin.sense.paper_centroid import PaperCentroid
@@ -153,14 +153,14 @@ def _first_look(
     signal = np.maximum(raw - np.float32(ground), np.float32(floor))
     contrast = max(LEAST_CONTRAST_DN, 4.0 * noise)
     width = diameter_px or 0.33 * spacing(nominal)
-    blobs = find_blobs(signal, width, contrast, floor)
+    blobs = Blobs.found_in(signal, width, contrast, floor)
     for _ in range(2 if diameter_px is None else 0):
         whole = blobs.diameter_px[blobs.whole]
         if not len(whole):
             break
         before = width
         width = float(np.clip(np.median(whole), 3.0, 0.9 * max(spacing(nominal), 4.0)))
-        blobs = find_blobs(signal, width, contrast, floor)
+        blobs = Blobs.found_in(signal, width, contrast, floor)
         if 0.8 < width / before < 1.25:
             break
     usual = float(np.median(blobs.area_px)) if len(blobs) else 0.0

@@ -27,7 +27,7 @@ from twin.sense.centre import (
     Seen,
 )
 from twin.sense.colour import project
-from twin.sense.detect import Blobs, find_blobs
+from twin.sense.detect import Blobs
 from twin.sense.match import GATE, Neighbourhood, match_layout, spacing
 
 CROWDED = 0.08
@@ -125,7 +125,7 @@ class SoftWindow(CentreEstimator):
         look = self.look
         signal = project(picture, look.weights, look.ground_dn + look.floor_dn)
         signal -= np.float32(look.ground_dn)
-        blobs = find_blobs(signal, look.diameter_px, look.contrast_dn, look.floor_dn)
+        blobs = Blobs.found_in(signal, look.diameter_px, look.contrast_dn, look.floor_dn)
         with np.errstate(invalid="ignore", divide="ignore"):
             area = blobs.area_px[None] / self.area_px[:, None]
             level = blobs.level_dn[None] / self.level_dn[:, None]

@@ -428,9 +428,9 @@ class Sensor:
         """The actual rigid beads and their interaction; None where no layer is ``stiff``."""
         if not any(layer.stiff for layer in self.actual.scene.markers.values()):
             return None
-        from twin.world.elasticity.rigid_beads import stiff_beads
+        from twin.world.elasticity.rigid_beads import StiffBeads
 
-        return stiff_beads(self.actual.markers, self.actual.scene.markers)
+        return StiffBeads.of(self.actual.markers, self.actual.scene.markers)
 
     def _with_stiff_beads(self, passive: Motion, field: Callable[[Points], Points]) -> Motion:
         """Add the interaction of rigid beads to the motion that the rubber's ``field`` causes."""

@@ -82,6 +82,60 @@ class Limit:
     two_point_mm: Floats
     force_sd_n: Floats
 
+    @staticmethod
+    def of(
+        *,
+        depth_mm: Floats,
+        pitch_mm: Floats,
+        noise_mm: Floats,
+        youngs_modulus_mpa: Floats,
+        poisson_ratio: Floats,
+        force_n: Floats,
+        radius_mm: Floats,
+        sampling: Literal["floor", "squares"] = "floor",
+    ) -> Limit:
+        """Return what designs can reach.
+
+        Parameters
+        ----------
+        depth_mm, pitch_mm, noise_mm
+            (m, layers) depth of each layer, pitch of its markers along the surface, and standard
+            deviation of a component of their motion, mm.
+        youngs_modulus_mpa, poisson_ratio
+            (m,) of the rubber.
+        force_n, radius_mm
+            (m,) size of the loads that are expected: the prior.
+        sampling
+            How the markers' pitch counts: as a floor (a bound), or by the sum of squares (what to
+            expect).
+
+        Raises
+        ------
+        InputError
+            A length, modulus or force is not positive.
+        """
+        depth, pitch, noise = (
+            np.atleast_2d(np.asarray(a, float)) for a in (depth_mm, pitch_mm, noise_mm)
+        )
+        modulus, nu, force, radius = (
+            np.broadcast_to(np.asarray(a, float), len(depth))
+            for a in (youngs_modulus_mpa, poisson_ratio, force_n, radius_mm)
+        )
+        if min(a.min() for a in (depth, pitch, noise, modulus, force, radius)) <= 0:
+            raise InputError(
+                "design limit: depths, pitches, noise, modulus, force and radius must be positive"
+            )
+        chunks = [
+            _limits(
+                *(a[i : i + _CHUNK] for a in (depth, pitch, noise, modulus, nu, force, radius)),
+                sampling=sampling,
+            )
+            for i in range(0, len(depth), _CHUNK)
+        ]
+        return Limit(
+            **dict(zip(Limit.__annotations__, np.concatenate(chunks, axis=1), strict=True))
+        )
+
 
 def layer_rows(
     k: Floats, depth_mm: Floats, shear_modulus_mpa: Floats, poisson_ratio: Floats
@@ -100,58 +154,6 @@ def layer_rows(
     return (2 * (1 - poisson_ratio) - k * depth_mm) * falls, (
         k * depth_mm - (1 - 2 * poisson_ratio)
     ) * falls
-
-
-def design_limit(
-    *,
-    depth_mm: Floats,
-    pitch_mm: Floats,
-    noise_mm: Floats,
-    youngs_modulus_mpa: Floats,
-    poisson_ratio: Floats,
-    force_n: Floats,
-    radius_mm: Floats,
-    sampling: Literal["floor", "squares"] = "floor",
-) -> Limit:
-    """Return what designs can reach.
-
-    Parameters
-    ----------
-    depth_mm, pitch_mm, noise_mm
-        (m, layers) depth of each layer, pitch of its markers along the surface, and standard
-        deviation of a component of their motion, mm.
-    youngs_modulus_mpa, poisson_ratio
-        (m,) of the rubber.
-    force_n, radius_mm
-        (m,) size of the loads that are expected: the prior.
-    sampling
-        How the markers' pitch counts: as a floor (a bound), or by the sum of squares (what to
-        expect).
-
-    Raises
-    ------
-    InputError
-        A length, modulus or force is not positive.
-    """
-    depth, pitch, noise = (
-        np.atleast_2d(np.asarray(a, float)) for a in (depth_mm, pitch_mm, noise_mm)
-    )
-    modulus, nu, force, radius = (
-        np.broadcast_to(np.asarray(a, float), len(depth))
-        for a in (youngs_modulus_mpa, poisson_ratio, force_n, radius_mm)
-    )
-    if min(a.min() for a in (depth, pitch, noise, modulus, force, radius)) <= 0:
-        raise InputError(
-            "design limit: depths, pitches, noise, modulus, force and radius must be positive"
-        )
-    chunks = [
-        _limits(
-            *(a[i : i + _CHUNK] for a in (depth, pitch, noise, modulus, nu, force, radius)),
-            sampling=sampling,
-        )
-        for i in range(0, len(depth), _CHUNK)
-    ]
-    return Limit(**dict(zip(Limit.__annotations__, np.concatenate(chunks, axis=1), strict=True)))
 
 
 def _limits(

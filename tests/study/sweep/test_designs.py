@@ -16,7 +16,7 @@ from twin.study.sweep.designs import Designs, load_sweep
 from twin.study.sweep.fidelities import closed
 from twin.study.sweep.loads import Bodies
 from twin.study.sweep.sweep_run import estimate, looked_over
-from twin.theory.limit import design_limit
+from twin.theory.limit import Limit
 from twin.theory.optics import project_with_jacobian
 
 
@@ -190,7 +190,7 @@ def test_pixels_become_millimetres_by_the_projection(focal_px: float) -> None:
     middle = np.column_stack([*np.tile(camera.pupil_mm[:2], (len(depth), 1)).T, depth])
     index, base = scene.material.refractive_index, scene.body.base_z_mm
     px_per_mm = project_with_jacobian(middle, camera, index, base)[1][:, 0, 0]
-    limit = design_limit(
+    limit = Limit.of(
         depth_mm=depth[None],
         pitch_mm=np.array([[layer.pitch_mm for layer in scene.markers.values()]]),
         noise_mm=0.05 / px_per_mm[None],

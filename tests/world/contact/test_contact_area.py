@@ -11,7 +11,7 @@ from twin.parts.probe import Cone, Sphere
 from twin.world.contact.active_set import Equilibrium
 from twin.world.contact.contact_problem import ProbeSetup
 from twin.world.contact.contact_state import ContactState
-from twin.world.contact.probe_gap import approach
+from twin.world.contact.probe_gap import Approach
 from twin.world.contact.surface_patches import Patches
 
 SIZE = 2.0
@@ -34,7 +34,7 @@ def area_of(probe, place, cell, pressure):
     moved = {"displacement_mm": np.zeros((k, 3)), "pose": np.zeros(6), "total": np.zeros(6)}
     found = Equilibrium(force_n=force, active=~never, slipping=never, residual=0.0, steps=1, **moved)
     rubber = {"youngs_modulus_mpa": 1.0, "poisson_ratio": 0.5}
-    first = approach(probe, BLOCK, np.zeros(2))
+    first = Approach.of(probe, BLOCK, np.zeros(2))
     setup = ProbeSetup(body=BLOCK, compliance=HalfSpace(), first=first, across=16, most=1000, **rubber)
     slope = np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (k, 1))
     return ContactState.touching(setup, patches, found, touch_z_mm=0.0, friction=0.0, slope=slope).area_mm2

@@ -9,7 +9,7 @@ import pytest
 import twin
 from twin.parts.body import Block, Finger
 from twin.parts.material import Material
-from twin.world.contact.probe_gap import approach_of
+from twin.world.contact.probe_gap import Approach
 from twin.world.contact.round_slab import Grid, Slab
 from twin.world.contact.whole_body import LAST_STEP, Rubber, RubberContact, SurfaceTouch
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
@@ -189,7 +189,7 @@ def test_gap_and_push_have_their_slopes(direction, linear):
     mesh = body_mesh(body, "sketch")
     at = (-2.0, 3.0, *body.surface_from_above(np.array([[-2.0, 3.0]]))[0, 2:])
     press = twin.Press(probe=twin.Sphere(diameter_mm=3), at_mm=at, direction=direction, indentation_mm=0.5)
-    approach = approach_of(press, body)
+    approach = Approach.of_press(press, body)
     touch = SurfaceTouch(mesh, body, approach, False, [(approach.touch_mm, 0.5)])
     moved = 0.05 * np.sin(mesh.points)
     pose = np.array([0.1, -0.05, 0.4, 0.02, -0.03, 0.01])
@@ -222,7 +222,7 @@ def test_sphere_that_slides_is_rubbed_by_the_coefficient_times_its_pressure_alon
     deep, steps = 0.3, 5
     body = Block(width_mm=10, length_mm=10, thickness_mm=5)
     press = twin.Press(probe=twin.Sphere(diameter_mm=6), indentation_mm=deep)
-    approach = approach_of(press, body)
+    approach = Approach.of_press(press, body)
     mesh = refined(
         body_mesh(body, "sketch"),
         body,

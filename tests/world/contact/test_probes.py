@@ -34,7 +34,7 @@ from twin.theory import halfspace
 from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact import load_step, pressing
 from twin.world.contact.pressing import ContactState
-from twin.world.contact.probe_gap import RIM, Approach, approach, rotation_of
+from twin.world.contact.probe_gap import RIM, Approach, rotation_of
 
 UPRIGHT = (0.0, 0.0, 0.0)
 
@@ -68,7 +68,7 @@ SHAPES = {
 def test_slopes_are_the_derivatives_of_gaps(name, tilt):
     rng = np.random.default_rng(3)
     frame = Press.frame_of((0.2, -0.1, 1.0))
-    there = approach(SHAPES[name], BLOCK, np.array([1.0, 2.0]), frame, tilt)
+    there = Approach.of(SHAPES[name], BLOCK, np.array([1.0, 2.0]), frame, tilt)
     points = there.touch_mm + rng.normal(scale=0.4, size=(90, 3)) * [1, 1, 0.1]
     normals = np.array([0.0, 0.0, 1.0]) + 0.1 * rng.normal(size=(90, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -109,7 +109,7 @@ def test_rotation_vectors():
 def test_a_turn_next_to_nothing_turns_nothing(size):
     turn = np.array([size, 0.0, -size])
     assert_allclose(rotation_of(turn), np.eye(3), atol=1e-15)
-    here = approach(Sphere(diameter_mm=3), BLOCK, np.zeros(2))
+    here = Approach.of(Sphere(diameter_mm=3), BLOCK, np.zeros(2))
     still, turned = (here.gap(np.zeros((1, 3)), np.eye(3)[2:], np.array([0, 0, 0, *t])) for t in (0 * turn, turn))
     for one, other in zip(turned, still, strict=True):
         assert_allclose(one, other, atol=1e-15)

@@ -15,18 +15,7 @@ from twin.files import MESHES
 from twin.parts.body import Block
 from twin.parts.load import Traction
 from twin.parts.material import Material
-from twin.world.elasticity.block_table import (
-    GOOD,
-    ROLES,
-    SHIPPED,
-    STANDARD,
-    STEP,
-    USABLE,
-    Table,
-    find_table,
-    table_between,
-    table_path,
-)
+from twin.world.elasticity.block_table import GOOD, ROLES, SHIPPED, STANDARD, STEP, USABLE, Table
 from twin.world.elasticity.cache import PointCache
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
@@ -48,11 +37,11 @@ def points():
 @pytest.mark.parametrize("role", ROLES)
 def test_shipped_table_is_made_of_the_shipped_mesh(role):
     mesh = drawn_to_rim(Mesh.read(MESHES / f"kamiyama_block.{SHIPPED[role]}.npz"), STANDARD)
-    table = Table.read(table_path(STANDARD, role))
+    table = Table.read(Table.path(STANDARD, role))
     assert table.digest == mesh.digest(), "run python -m twin.world.elasticity.block_table"
     assert table.error < USABLE
-    assert find_table(STANDARD, role) is not None
-    assert find_table(Block(width_mm=90, length_mm=90, thickness_mm=40), role) is None
+    assert Table.find(STANDARD, role) is not None
+    assert Table.find(Block(width_mm=90, length_mm=90, thickness_mm=40), role) is None
 
 
 @pytest.mark.parametrize("nu", [0.5, 0.42, 0.1])
@@ -74,7 +63,7 @@ def test_table_equals_a_solve_and_factors_nothing(nu):
 
 def test_point_forces_are_the_limit_of_small_squares():
     """Points are read at one place, rectangles at nine."""
-    table = find_table(STANDARD, "truth")
+    table = Table.find(STANDARD, "truth")
     rng = np.random.default_rng(2)
     centre = np.column_stack([rng.uniform(-12, 12, (9, 2)), np.zeros(9)])
     force, basis = rng.normal(size=(9, 3)), PointCache(points())
@@ -83,7 +72,7 @@ def test_point_forces_are_the_limit_of_small_squares():
 
 
 def test_outside_its_range_the_table_steps_back():
-    table = Table.read(table_path(STANDARD, "nominal"))
+    table = Table.read(Table.path(STANDARD, "nominal"))
     inside, load = np.array([[0.0, 0.0, 5.0]]), tile(LOADS[0], STANDARD)
     assert table.covers(load, 0.4)
     assert table.at(0.4).contains(PointCache(inside))
@@ -95,7 +84,7 @@ def test_outside_its_range_the_table_steps_back():
 
 @pytest.mark.parametrize("role", ROLES)
 def test_a_table_is_small_and_written_as_it_was_read(role, tmp_path):
-    path = table_path(STANDARD, role)
+    path = Table.path(STANDARD, role)
     assert path.stat().st_size < 45_000
     table = Table.read(path)
 
@@ -116,12 +105,12 @@ def test_a_table_is_small_and_written_as_it_was_read(role, tmp_path):
 )
 def test_damaged_table_is_refused_and_solved_around(tmp_path, monkeypatch, damage):
     path = tmp_path / "t.npz"
-    path.write_bytes(damage(table_path(STANDARD, "nominal").read_bytes()))
+    path.write_bytes(damage(Table.path(STANDARD, "nominal").read_bytes()))
     with pytest.raises(InputError, match="not a table"):
         Table.read(path)
-    monkeypatch.setattr("twin.world.elasticity.block_table.table_path", lambda *_: path)
+    monkeypatch.setattr("twin.world.elasticity.block_table.Table.path", lambda *_: path)
     with pytest.warns(UserWarning, match="solving without the table"):
-        assert find_table(STANDARD, "nominal") is None
+        assert Table.find(STANDARD, "nominal") is None
 
 
 @pytest.mark.parametrize(
@@ -133,7 +122,7 @@ def test_damaged_table_is_refused_and_solved_around(tmp_path, monkeypatch, damag
     ],
 )
 def test_a_table_whose_error_is_no_number_or_of_foreign_sizes_is_refused(tmp_path, before, after, message):
-    with np.load(table_path(STANDARD, "nominal")) as file:
+    with np.load(Table.path(STANDARD, "nominal")) as file:
         arrays = {name: file[name] for name in file.files}
     words = str(arrays.pop("words"))
     assert before in words
@@ -149,7 +138,7 @@ def test_a_table_whose_error_is_no_number_or_of_foreign_sizes_is_refused(tmp_pat
 def test_table_can_be_made_anew(level, close, error):
     """That of a coarser mesh is as far off as the mesh."""
     mesh = drawn_to_rim(Mesh.read(MESHES / f"kamiyama_block.{level}.npz"), STANDARD)
-    made, shipped = Table.make(STANDARD, mesh), Table.read(table_path(STANDARD, "nominal"))
+    made, shipped = Table.make(STANDARD, mesh), Table.read(Table.path(STANDARD, "nominal"))
     assert_near(shipped.coefficients, made.coefficients, close)
     assert error[0] <= made.error <= error[1]
 
@@ -172,7 +161,7 @@ def test_another_block_gets_its_table_when_many_compliances_are_asked_for(tmp_pa
     many = rectangles(centre, 0.15, force)
     inside = points() / 2.0
     matrix = stiff.to_points(inside, many)
-    assert table_path(half, "truth", 0.45).exists()
+    assert Table.path(half, "truth", 0.45).exists()
     before = Factor.made
     got = Compliance(half, stiff.material).displacement(inside, many)
     assert Factor.made == before
@@ -188,7 +177,7 @@ def test_no_table_is_made_of_an_oblong_block(size, tmp_path, monkeypatch):
     monkeypatch.setattr("twin.world.elasticity.block_table.cache_folder", lambda: tmp_path)
     width, length, thickness = size
     body = Block(width_mm=width, length_mm=length, thickness_mm=thickness)
-    assert find_table(body, "check", make=True) is None
+    assert Table.find(body, "check", make=True) is None
     assert not list(tmp_path.iterdir())
 
 
@@ -235,21 +224,21 @@ def block(thickness_mm):
 
 
 def test_there_is_none_outside_its_range_or_over_too_wide_a_range():
-    assert table_between(block(29.0), "nominal", 30.0, 50.0) is None
-    assert table_between(block(40.0), "nominal", 10.0, 50.0) is None
+    assert Table.between(block(29.0), "nominal", 30.0, 50.0) is None
+    assert Table.between(block(40.0), "nominal", 10.0, 50.0) is None
 
 
 def test_tables_between_are_polynomials_in_the_thickness_and_none_where_these_do_not_settle(monkeypatch):
-    shipped = find_table(STANDARD, "nominal")
+    shipped = Table.find(STANDARD, "nominal")
     shapes = {30.0: lambda t: 1 + t + t**2, 31.0: lambda t: 1 + 5 * abs(t - 1.1)}
     for low, shape in shapes.items():
         monkeypatch.setattr(
-            "twin.world.elasticity.block_table.find_table",
+            "twin.world.elasticity.block_table.Table.find",
             lambda body, *_, shape=shape, **__: replace(
                 shipped, coefficients=shipped.coefficients * shape(body.thickness_mm / 40), error=1e-4
             ),
         )
-        found = table_between(block(43.0), "nominal", low, 49.0)
+        found = Table.between(block(43.0), "nominal", low, 49.0)
         if low == 30.0:
             assert_allclose(found.coefficients, shipped.coefficients * shape(43 / 40), rtol=1e-12, atol=1e-15)
             assert found.error == pytest.approx(1e-4)
@@ -260,10 +249,10 @@ def test_tables_between_are_polynomials_in_the_thickness_and_none_where_these_do
 @pytest.mark.slow
 def test_an_interpolated_block_is_a_solved_one_and_factors_nothing():
     points = np.random.default_rng(1).uniform([-20, -17, 0.3], [20, 17, 6.5], (200, 3))
-    table_between(block(40.3), "nominal", 30.0, 50.0)
+    Table.between(block(40.3), "nominal", 30.0, 50.0)
     for thickness, nu in ((30.0, 0.5), (40.3, 0.45), (50.0, 0.5)):
         body, material = block(thickness), Material(youngs_modulus_mpa=1.0, poisson_ratio=nu)
-        table = table_between(body, "nominal", 30.0, 50.0)
+        table = Table.between(body, "nominal", 30.0, 50.0)
         before = Factor.made
         got = [
             Compliance(body, material, level="nominal", table=table).displacement(points, tile(load, body))
@@ -274,7 +263,7 @@ def test_an_interpolated_block_is_a_solved_one_and_factors_nothing():
         for load, moved in zip(PRESSES, got, strict=True):
             wanted = solved.displacement(points, tile(load, body))
             assert np.linalg.norm(moved - wanted, axis=1).max() < GOOD * np.linalg.norm(wanted, axis=1).max()
-        thinner = table_between(block(31.0), "nominal", 30.0, 50.0)
+        thinner = Table.between(block(31.0), "nominal", 30.0, 50.0)
         if thickness == 50.0:  # 50 mm are told from 31: the test above could fail
             wrong = Compliance(body, material, level="nominal", table=thinner)
             moved = wrong.displacement(points, tile(PRESSES[0], body))

@@ -7,7 +7,7 @@ from twin.parts.body import Block
 from twin.parts.markers import MarkerLayer, place
 from twin.theory.inclusions import dipole_displacement, mean_on_sphere, stresslet
 from twin.world.elasticity import rigid_beads
-from twin.world.elasticity.rigid_beads import stiff_beads
+from twin.world.elasticity.rigid_beads import StiffBeads
 
 BODY = Block(width_mm=60, length_mm=60, thickness_mm=40)
 GRID = {"columns": 4, "rows": 3, "pitch_mm": 1.5, "colour": (1, 1, 1)}
@@ -36,7 +36,7 @@ def gradient(p):
 def test_every_layer_has_its_own_size_and_soft_ones_are_pushed_along(most, monkeypatch):
     monkeypatch.setattr(rigid_beads, "MOST_KEPT", most)
     markers = place(BODY, LAYERS)
-    beads = stiff_beads(markers, LAYERS)
+    beads = StiffBeads.of(markers, LAYERS)
     assert (beads.per_strain is None) == (most == 0)
     change = beads.change(field, gradient(markers.points))
     slopes = gradient(markers.points)
@@ -60,4 +60,4 @@ def test_every_layer_has_its_own_size_and_soft_ones_are_pushed_along(most, monke
 
 def test_without_a_stiff_layer_there_is_nothing_to_change():
     layers = {name: layer.model_copy(update={"stiff": False}) for name, layer in LAYERS.items()}
-    assert stiff_beads(place(BODY, layers), layers) is None
+    assert StiffBeads.of(place(BODY, layers), layers) is None

@@ -18,7 +18,7 @@ from twin.world.mesh.body_mesh import outer_surface
 from twin.world.mesh.elements import signed_volumes
 from twin.world.mesh.sizing import Sizing, WantedEdge
 from twin.world.mesh.snap import onto_sheets
-from twin.world.mesh.tetrahedralise import Request, tetrahedralise
+from twin.world.mesh.tetrahedralise import Request
 
 BLOCK = Block(width_mm=10, length_mm=8, thickness_mm=6)
 
@@ -125,7 +125,7 @@ def test_what_the_mesher_can_t_survive_never_reaches_it(request_of_block, monkey
 
     monkeypatch.setattr(subprocess, "Popen", child)
     with pytest.raises(InputError):
-        tetrahedralise(replace(request_of_block, **BAD[name](request_of_block)))
+        replace(request_of_block, **BAD[name](request_of_block)).solve()
 
 
 # --- the child ------------------------------------------------------------------------------------
@@ -159,7 +159,7 @@ def test_a_child_over_its_time_limit_is_killed(tmp_path, stand_in, request_of_bl
     began, pid = time.monotonic(), tmp_path / "pid"
     monkeypatch.setattr(sys, "executable", stand_in(sleeper(pid)))
     with pytest.raises(MeshError, match=r"time limit of 1 s"):
-        tetrahedralise(request_of_block, limit_s=1.0)
+        request_of_block.solve(limit_s=1.0)
     assert time.monotonic() - began < 20
     assert_gone(pid)
 
@@ -167,7 +167,7 @@ def test_a_child_over_its_time_limit_is_killed(tmp_path, stand_in, request_of_bl
 def test_a_real_request_over_its_time_limit_leaves_no_folder(tmp_path, request_of_block, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with pytest.raises(MeshError, match="time limit"):
-        tetrahedralise(request_of_block, limit_s=0.05)
+        request_of_block.solve(limit_s=0.05)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -185,15 +185,15 @@ def copier(result):
 def test_a_child_that_dies_is_reported_in_words(stand_in, request_of_block, monkeypatch, code, message):
     monkeypatch.setattr(sys, "executable", stand_in(code))
     with pytest.raises(MeshError, match=message):
-        tetrahedralise(request_of_block, limit_s=30.0)
+        request_of_block.solve(limit_s=30.0)
 
 
 PARENT = """
 import sys
 import numpy as np
-from twin.world.mesh.tetrahedralise import Request, tetrahedralise
+from twin.world.mesh.tetrahedralise import Request
 sys.executable, request = sys.argv[1:]
-tetrahedralise(Request(**np.load(request)), limit_s=60.0)
+Request(**np.load(request)).solve(limit_s=60.0)
 """
 
 
@@ -222,12 +222,12 @@ def test_a_result_that_lost_part_of_the_body_is_refused(
     np.savez(result, points=np.eye(4)[:, 1:], tets=np.array(tets, np.int64))
     monkeypatch.setattr(sys, "executable", stand_in(copier(result)))
     with pytest.raises(MeshError, match=message):
-        tetrahedralise(request_of_block)
+        request_of_block.solve()
 
 
 @pytest.mark.slow
 def test_the_real_mesher_fills_a_small_block_with_positive_tetrahedra(request_of_block):
-    points, tets = tetrahedralise(request_of_block)
+    points, tets = request_of_block.solve()
     volumes = signed_volumes(points, tets)
     assert np.min(volumes) > 0
     assert volumes.sum() == pytest.approx(BLOCK.volume_mm3, rel=0.01)

@@ -60,7 +60,7 @@ def _pin_meshes(meta: Path, progress: Progress | None) -> None:
     error is estimated."""
     from twin.study.recipe import load_scene
     from twin.study.sensor import Sensor
-    from twin.world.elasticity.block_table import find_table, table_path
+    from twin.world.elasticity.block_table import Table
     from twin.world.elasticity.compliance import Compliance
     from twin.world.mesh.body_mesh import body_mesh, mesh_file, mesh_key, shipped_mesh
     from twin.world.mesh.sizing import WORLD, Sizing
@@ -79,8 +79,8 @@ def _pin_meshes(meta: Path, progress: Progress | None) -> None:
         mesh.write(meta / mesh_file(key), {"key": key, "level": each, "body": body.geometry()})
     if isinstance(body, Block):
         for role in ("truth", "check"):
-            if find_table(body, role, make=True, progress=progress) is not None:
-                path = table_path(body, role)
+            if Table.find(body, role, make=True, progress=progress) is not None:
+                path = Table.path(body, role)
                 write_whole(meta / path.name, path.read_bytes())
 
 

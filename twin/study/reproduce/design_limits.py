@@ -47,7 +47,7 @@ from twin.study.reproduce.bench import (
     Trial,
     sphere_press,
 )
-from twin.theory.limit import DIP, Limit, design_limit
+from twin.theory.limit import DIP, Limit
 
 FORCE_N, HUMAN_MM = 1.0, 2.0
 DISTANCES_MM = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
@@ -182,7 +182,7 @@ def _limits(
     """Return the closed-form limit of (m, layers) designs under `FORCE_N` on discs of 1 mm
     radius."""
     ones = np.ones(len(noise_mm))
-    return design_limit(
+    return Limit.of(
         depth_mm=depth_mm,
         pitch_mm=pitch_mm,
         noise_mm=noise_mm,

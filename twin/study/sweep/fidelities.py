@@ -51,7 +51,7 @@ from twin.study.doubts import View, shift_sd
 from twin.study.sensor import Motion, Sensor, on_surface
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.loads import PAIRS, Bodies, Pushes
-from twin.theory.limit import design_limit
+from twin.theory.limit import Limit
 from twin.theory.optics import project
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
     if len(good):
         modulus = designs.numbers("material.youngs_modulus_mpa", material.youngs_modulus_mpa)
         ratio = designs.numbers("material.poisson_ratio", material.poisson_ratio)
-        limit = design_limit(
+        limit = Limit.of(
             depth_mm=np.column_stack(depths)[good],
             pitch_mm=np.column_stack(pitches)[good],
             noise_mm=np.column_stack(noises)[good],

@@ -241,12 +241,12 @@ class Bodies:
 
     def _between(self, body: Body, level: Level) -> Table | None:
         """Return the interpolated table of a block, where one is as accurate as a level of mesh."""
-        from twin.world.elasticity.block_table import MADE, table_between
+        from twin.world.elasticity.block_table import MADE, Table
 
         if self.thickness_mm is None or not isinstance(body, Block):
             return None
         role = next((r for r, made in MADE.items() if made == level and r != "check"), None)
-        return table_between(body, role, *self.thickness_mm) if role is not None else None
+        return Table.between(body, role, *self.thickness_mm) if role is not None else None
 
     def moved(self, scene: Scene, role: str, points: Points, patches: Rectangles) -> Floats:
         """Return (3 n, 3 k) mm/N of points under unit forces on patches, for the scene's own

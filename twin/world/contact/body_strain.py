@@ -37,15 +37,7 @@ from twin.parts.press import Press
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
 from twin.world.contact.contact_state import ContactState, Share
 from twin.world.contact.mixed_rubber import check_reach, with_edge
-from twin.world.contact.probe_gap import (
-    ABOUT_X,
-    MOTIONS,
-    TURN,
-    Approach,
-    Z,
-    approach_of,
-    half_extent,
-)
+from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, TURN, Approach, Z, half_extent
 from twin.world.contact.round_slab import FiniteStrain, Solutions
 from twin.world.contact.whole_body import (
     LAST_STEP,
@@ -136,7 +128,7 @@ class BodyStrain(FiniteStrain):
         path: Sequence[ContactState] = (),
     ) -> None:
         presses = (press.model_copy(update={"also": ()}), *press.also)
-        approaches = [_rounded(approach_of(one, body)) for one in presses]
+        approaches = [_rounded(Approach.of_press(one, body)) for one in presses]
         axes = tuple(approach.axes for approach in approaches)
         problem = _unsolved(press, body, material, state, axes, path)
         if not problem and coarse:

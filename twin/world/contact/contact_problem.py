@@ -31,15 +31,7 @@ from twin.theory.relaxation import Relaxation, RubberMemory
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem
 from twin.world.contact.friction_law import STICKS_FROM
 from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence
-from twin.world.contact.probe_gap import (
-    ABOUT_X,
-    MOTIONS,
-    Approach,
-    Z,
-    approach,
-    half_extent,
-    rotation_of,
-)
+from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, Approach, Z, half_extent, rotation_of
 from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
 
 _STAYS = 0.05
@@ -269,7 +261,7 @@ class ProbeSetup:
         if not (x or y or any(turns)):
             return first
         over = first.axis_mm + pose[:Z] @ first.axes[:Z]
-        return approach(self.probe, self.body, over, first.axes, first.tilt_deg, pose[ABOUT_X:])
+        return Approach.of(self.probe, self.body, over, first.axes, first.tilt_deg, pose[ABOUT_X:])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,7 +32,7 @@ from twin.world.contact.contact_state import (
     Share,
     Validity,
 )
-from twin.world.contact.probe_gap import Z, approach_of
+from twin.world.contact.probe_gap import Approach, Z
 from twin.world.contact.round_slab import FiniteStrain, SlabStrain
 
 _FORCES = 8
@@ -124,7 +124,7 @@ def at_finite_strain(
     returns the linear solution of another press; the others are those of `SlabStrain`, with what
     it raises, and `BodyStrain`. A ContactError has the state before the step that fails.
     """
-    axes = approach_of(press, body).axes
+    axes = Approach.of_press(press, body).axes
     controls = press.in_own_axes(axes)
     path: list[ContactState] = []
     more: FiniteStrain | None = None

@@ -42,17 +42,7 @@ from twin.world.contact.contact_search import (
 from twin.world.contact.contact_state import ContactState
 from twin.world.contact.load_step import load_step
 from twin.world.contact.press_error import Estimates, Watched
-from twin.world.contact.probe_gap import (
-    ABOUT_X,
-    ABOUT_Y,
-    MOTIONS,
-    Approach,
-    X,
-    Y,
-    Z,
-    approach_of,
-    half_extent,
-)
+from twin.world.contact.probe_gap import ABOUT_X, ABOUT_Y, MOTIONS, Approach, X, Y, Z, half_extent
 from twin.world.contact.surface_patches import Box, Plane
 
 TRIES = 8
@@ -638,7 +628,7 @@ def press(
         ProbeSetup(
             body=body,
             compliance=compliance,
-            first=approach_of(one, body),
+            first=Approach.of_press(one, body),
             across=patches_across,
             most=_MOST_RUBBED if relaxation or any(each.friction for each in presses) else _MOST,
             youngs_modulus_mpa=youngs_modulus_mpa,

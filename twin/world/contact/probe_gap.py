@@ -474,6 +474,148 @@ class Approach:
         gap, normal = self.shape.met(own @ turned, along @ turned)
         return gap, _slopes(own, along, gap, normal, turned, turning_of(turn))
 
+    @staticmethod
+    def of_press(press: Press, body: Body) -> Approach:
+        """Bring a press's probe along its direction until it touches the body.
+
+        Raises
+        ------
+        InputError
+            The place is not on the sensing surface, the probe would come from inside the body, or
+            it misses the surface.
+        """
+        flat_z = press.direction is None or press.direction == (0.0, 0.0, 1.0)
+        if flat_z and len(press.at_mm) == 2:
+            return Approach.of(
+                press.probe, body, np.array([*press.at_mm, 0.0]), np.eye(3), press.tilt_deg
+            )
+        place = _point_on_surface(body, press.at_mm)
+        inward = body.piece_normals(place[None])[0, 0]
+        along = (
+            inward
+            if press.direction == "normal"
+            else np.array(press.direction or (0.0, 0.0, 1.0), float)
+        )
+        axes = Press.frame_of(tuple(along))
+        along = axes[2]
+        if along @ inward <= 0.05:
+            raise InputError(
+                f"press.direction = ({', '.join(f'{c:.3g}' for c in along)}) at "
+                f"({', '.join(f'{c:.3g}' for c in place)}) mm comes from inside the body, or along "
+                f"its surface (its inward normal is ({', '.join(f'{c:.3g}' for c in inward)})): "
+                "turn it inwards, or use 'normal'"
+            )
+        return Approach.of(press.probe, body, place, axes, press.tilt_deg)
+
+    @staticmethod
+    def of(
+        probe: Probe,
+        body: Body,
+        at_mm: Floats,
+        axes: Floats | None = None,
+        tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        turn: Floats | None = None,
+    ) -> Approach:
+        """Bring a probe along its own z onto a body until it touches.
+
+        Parameters
+        ----------
+        probe, body
+            The rigid probe and the undeformed body.
+        at_mm
+            (3,) any point of the probe's axis; (2,) is one along z.
+        axes
+            (3, 3) the probe's own axes as rows; the global ones if not given.
+        tilt_deg, turn
+            Its turn before the press, and the (3,) rotation vector since, radians.
+
+        Raises
+        ------
+        InputError
+            The probe misses the sensing surface.
+
+        Notes
+        -----
+        The smallest height of the surface over the probe is found on grids that shrink around the
+        minimum; ties (a flat face on a flat body, or along a barrel) are averaged. Where the
+        surface is as high everywhere under an upright probe, its lowest point is the one.
+        """
+        axes = np.eye(3) if axes is None else axes
+        at = np.zeros(3)
+        at[: len(at_mm)] = at_mm
+        turned = None if turn is None else rotation_of(turn)
+        a, b = half_extent(probe, tilt_deg)
+        lever_arm = math.hypot(a, b)
+        upright = (
+            not isinstance(probe, Stl | Object)
+            and not any(tilt_deg)
+            and (turned is None or turned[2, 2] == 1.0)
+        )
+        if (
+            upright
+            and axes[2, 2] == 1.0
+            and body.is_level_around(float(at[0]), float(at[1]), lever_arm)
+        ):
+            at[2] = 0.0
+            return Approach(
+                probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg, level=True
+            )
+        turned = np.eye(3) if turned is None else turned
+        shape = _shape_of(probe, tilt_deg)
+        if (
+            isinstance(shape, _Triangles)
+            and axes[2, 2] == 1.0
+            and body.is_level_around(float(at[0]), float(at[1]), shape.reach_mm)
+        ):
+            at[2] = -float((shape.corners @ turned[2]).max())
+            return Approach(probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg)
+        meets = _surface_intersection(body, axes[2])
+        half = np.full(2, lever_arm) if isinstance(probe, Pillar) else np.array((a, b))
+        centre = np.zeros(2)
+        height = np.inf
+        touch = np.full(2, np.nan)
+        on_sensing = True
+        along = np.broadcast_to(turned[2], (_ACROSS**2, 3))
+        for _ in range(_LEVELS):
+            offset = centre + _STEPS * half
+            surface, sensing = meets(at + offset @ axes[:2])
+            if upright and sensing.all() and np.all(surface == surface[0]):
+                height = float(surface[0])
+                touch = np.zeros(2)
+                break
+            rise = shape.met(np.column_stack([offset, np.zeros(len(offset))]) @ turned, along)[0]
+            height_here = surface + np.where(np.isfinite(rise), rise, np.nan)
+            height_here = np.where(np.isfinite(height_here), height_here, np.inf)
+            lowest = float(height_here.min())
+            if not math.isfinite(lowest):
+                break
+            ties = height_here <= lowest + (1e-12 if axes[2, 2] == 1.0 else 1e-10)
+            middle = offset[ties].mean(axis=0)
+            if lowest < height:
+                height = lowest
+                touch = middle
+                on_sensing = bool(sensing[ties].any())
+            centre = touch
+            half = half / 3
+        name = f"the {probe.kind} at ({', '.join(f'{c:g}' for c in at_mm)}) mm"
+        if not math.isfinite(height):
+            (x0, y0, _), (x1, y1, _) = body.bounds_mm
+            raise InputError(
+                f"{name} misses the sensing surface, which lies within x {x0:g} to {x1:g} mm and y "
+                f"{y0:g} to {y1:g} mm: move at_mm or the step's motion over the body"
+            )
+        met = at + touch @ axes[:2]
+        point = met + meets(met[None])[0][0] * axes[2]
+        if not on_sensing or not np.isfinite(point).all():
+            raise InputError(
+                f"{name} first touches the body off its sensing surface, near "
+                f"({', '.join(f'{c:.3g}' for c in np.nan_to_num(point))}) mm: move at_mm, or "
+                "change direction or tilt_deg"
+            )
+        return Approach(
+            probe=probe, axis_mm=at + height * axes[2], touch_mm=point, axes=axes, tilt_deg=tilt_deg
+        )
+
 
 @njit(cache=True)
 def _slopes(
@@ -600,143 +742,3 @@ def _point_on_surface(body: Body, at_mm: tuple[float, ...]) -> Floats:
             "(x, y) alone"
         )
     return np.asarray(place[0])
-
-
-def approach_of(press: Press, body: Body) -> Approach:
-    """Bring a press's probe along its direction until it touches the body.
-
-    Raises
-    ------
-    InputError
-        The place is not on the sensing surface, the probe would come from inside the body, or it
-        misses the surface.
-    """
-    flat_z = press.direction is None or press.direction == (0.0, 0.0, 1.0)
-    if flat_z and len(press.at_mm) == 2:
-        return approach(press.probe, body, np.array([*press.at_mm, 0.0]), np.eye(3), press.tilt_deg)
-    place = _point_on_surface(body, press.at_mm)
-    inward = body.piece_normals(place[None])[0, 0]
-    along = (
-        inward
-        if press.direction == "normal"
-        else np.array(press.direction or (0.0, 0.0, 1.0), float)
-    )
-    axes = Press.frame_of(tuple(along))
-    along = axes[2]
-    if along @ inward <= 0.05:
-        raise InputError(
-            f"press.direction = ({', '.join(f'{c:.3g}' for c in along)}) at "
-            f"({', '.join(f'{c:.3g}' for c in place)}) mm comes from inside the body, or along its "
-            f"surface (its inward normal is ({', '.join(f'{c:.3g}' for c in inward)})): turn it "
-            "inwards, or use 'normal'"
-        )
-    return approach(press.probe, body, place, axes, press.tilt_deg)
-
-
-def approach(
-    probe: Probe,
-    body: Body,
-    at_mm: Floats,
-    axes: Floats | None = None,
-    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    turn: Floats | None = None,
-) -> Approach:
-    """Bring a probe along its own z onto a body until it touches.
-
-    Parameters
-    ----------
-    probe, body
-        The rigid probe and the undeformed body.
-    at_mm
-        (3,) any point of the probe's axis; (2,) is one along z.
-    axes
-        (3, 3) the probe's own axes as rows; the global ones if not given.
-    tilt_deg, turn
-        Its turn before the press, and the (3,) rotation vector since, radians.
-
-    Raises
-    ------
-    InputError
-        The probe misses the sensing surface.
-
-    Notes
-    -----
-    The smallest height of the surface over the probe is found on grids that shrink around the
-    minimum; ties (a flat face on a flat body, or along a barrel) are averaged. Where the surface is
-    as high everywhere under an upright probe, its lowest point is the one.
-    """
-    axes = np.eye(3) if axes is None else axes
-    at = np.zeros(3)
-    at[: len(at_mm)] = at_mm
-    turned = None if turn is None else rotation_of(turn)
-    a, b = half_extent(probe, tilt_deg)
-    lever_arm = math.hypot(a, b)
-    upright = (
-        not isinstance(probe, Stl | Object)
-        and not any(tilt_deg)
-        and (turned is None or turned[2, 2] == 1.0)
-    )
-    if (
-        upright
-        and axes[2, 2] == 1.0
-        and body.is_level_around(float(at[0]), float(at[1]), lever_arm)
-    ):
-        at[2] = 0.0
-        return Approach(
-            probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg, level=True
-        )
-    turned = np.eye(3) if turned is None else turned
-    shape = _shape_of(probe, tilt_deg)
-    if (
-        isinstance(shape, _Triangles)
-        and axes[2, 2] == 1.0
-        and body.is_level_around(float(at[0]), float(at[1]), shape.reach_mm)
-    ):
-        at[2] = -float((shape.corners @ turned[2]).max())
-        return Approach(probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg)
-    meets = _surface_intersection(body, axes[2])
-    half = np.full(2, lever_arm) if isinstance(probe, Pillar) else np.array((a, b))
-    centre = np.zeros(2)
-    height = np.inf
-    touch = np.full(2, np.nan)
-    on_sensing = True
-    along = np.broadcast_to(turned[2], (_ACROSS**2, 3))
-    for _ in range(_LEVELS):
-        offset = centre + _STEPS * half
-        surface, sensing = meets(at + offset @ axes[:2])
-        if upright and sensing.all() and np.all(surface == surface[0]):
-            height = float(surface[0])
-            touch = np.zeros(2)
-            break
-        rise = shape.met(np.column_stack([offset, np.zeros(len(offset))]) @ turned, along)[0]
-        height_here = surface + np.where(np.isfinite(rise), rise, np.nan)
-        height_here = np.where(np.isfinite(height_here), height_here, np.inf)
-        lowest = float(height_here.min())
-        if not math.isfinite(lowest):
-            break
-        ties = height_here <= lowest + (1e-12 if axes[2, 2] == 1.0 else 1e-10)
-        middle = offset[ties].mean(axis=0)
-        if lowest < height:
-            height = lowest
-            touch = middle
-            on_sensing = bool(sensing[ties].any())
-        centre = touch
-        half = half / 3
-    name = f"the {probe.kind} at ({', '.join(f'{c:g}' for c in at_mm)}) mm"
-    if not math.isfinite(height):
-        (x0, y0, _), (x1, y1, _) = body.bounds_mm
-        raise InputError(
-            f"{name} misses the sensing surface, which lies within x {x0:g} to {x1:g} mm and y "
-            f"{y0:g} to {y1:g} mm: move at_mm or the step's motion over the body"
-        )
-    met = at + touch @ axes[:2]
-    point = met + meets(met[None])[0][0] * axes[2]
-    if not on_sensing or not np.isfinite(point).all():
-        raise InputError(
-            f"{name} first touches the body off its sensing surface, near "
-            f"({', '.join(f'{c:.3g}' for c in np.nan_to_num(point))}) mm: move at_mm, or change "
-            "direction or tilt_deg"
-        )
-    return Approach(
-        probe=probe, axis_mm=at + height * axes[2], touch_mm=point, axes=axes, tilt_deg=tilt_deg
-    )

@@ -54,7 +54,7 @@ from twin.world.contact.mixed_rubber import (
     summed,
     with_edge,
 )
-from twin.world.contact.probe_gap import MOTIONS, Shape, Z, approach_of
+from twin.world.contact.probe_gap import MOTIONS, Approach, Shape, Z
 from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import LEAST_POISSON
 
@@ -254,7 +254,7 @@ class SlabStrain(FiniteStrain):
         *,
         coarse: bool = False,
     ) -> None:
-        approach = approach_of(press, body)
+        approach = Approach.of_press(press, body)
         place = approach.axis_mm + state.move_mm
         self._axis = place[:Z]
         self._approach = approach
@@ -294,7 +294,7 @@ class SlabStrain(FiniteStrain):
             and not any(press.tilt_deg)
             and press.direction in (None, (0, 0, 1))
             and material.poisson_ratio >= LEAST_POISSON
-            and _to_side_mm(body, approach_of(press, body).axis_mm + state.move_mm)
+            and _to_side_mm(body, Approach.of_press(press, body).axis_mm + state.move_mm)
             >= _FROM_SIDES * state.contact_radius_mm
         )
 

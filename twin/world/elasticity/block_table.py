@@ -11,7 +11,7 @@ estimates its error; and ``nominal``, the sensor's own. The standard block's tab
 (``python -m twin.world.elasticity.block_table`` makes them), others are made when a contact needs
 many compliances, and cached: of one nu for a press, of all for a dataset. The table of a thin block
 holds what the bonded layer's field leaves of w, which varies only near the sides. Between blocks of
-several thicknesses a table is interpolated (`table_between`).
+several thicknesses a table is interpolated (`Table.between`).
 
 Validity: forces in the window, points in the box, nu in [0, 0.5] or the one that it was made for,
 the block and mesh that the table was made of (`Table.covers`). Between thicknesses: blocks of one
@@ -68,6 +68,11 @@ _NU = Axis.chebyshev(SIZES[0], *NU_RANGE)
 _GAUSS = np.polynomial.legendre.leggauss(3)
 _MIDDLE = np.polynomial.legendre.leggauss(1)
 """Nodes and weights along each side of a rectangle."""
+
+
+USABLE = 5e-4
+"""Largest `Table.error` with which a table is used: thin blocks need more polynomials than it
+has."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,6 +227,79 @@ class Table:
             digest=words["digest"],
             error=words["error"],
             poisson_ratio=low if one else None,
+        )
+
+    @staticmethod
+    def find(
+        body: Body,
+        role: Role,
+        *,
+        poisson_ratio: float | None = None,
+        make: bool = False,
+        progress: Progress | None = None,
+        usable: float = USABLE,
+    ) -> Table | None:
+        """Return the table of a block: the stored one, else (with ``make``) a new one; None
+        without.
+
+        Making takes some seconds, for one ``poisson_ratio`` alone a fifth of them. A damaged file
+        warns and counts as absent, like a table whose `Table.error` is above ``usable``.
+        """
+        if not isinstance(body, Block) or not (
+            _is_compact(body) or BondedLayer.of(body, NU_RANGE[1])
+        ):
+            return None
+        usable *= CHECK if role == "check" else 1.0
+        path = Table.path(body, role)
+        of_all = pinned(path.name) if is_pinned() else path.exists()
+        if not of_all and poisson_ratio is not None:
+            path = Table.path(body, role, poisson_ratio)
+        if is_pinned():
+            return _usable(held, usable) if (held := pinned(path.name)) else None
+        if make and not path.exists() and not _is_standard(body):
+            mesh = drawn_to_rim(body_mesh(body, MADE[role], progress=progress), body)
+            table = Table.make(body, mesh, progress, poisson_ratio)
+            with kept_if_possible():  # without the table solves stand in
+                table.write(path)
+        return _usable(path, usable)
+
+    @staticmethod
+    def path(body: Block, role: Role, poisson_ratio: float | None = None) -> Path:
+        """Return the file of a block's table, of one nu or of all: shipped for the standard block,
+        in the cache for others."""
+        if _is_standard(body):
+            return MESHES / f"kamiyama_block.{role}.table.npz"
+        key = mesh_key(body, Sizing.of(body, MADE[role]))
+        every = NU_RANGE if poisson_ratio is None else poisson_ratio
+        kind = [every, THIN, OBLONG, OFF_SIDES, DEEP]
+        found = json.dumps([key, RIM_SHARE, SIZES, kind, WINDOW, BOX, STEP])
+        return cache_folder() / f"table-{hashlib.sha256(found.encode()).hexdigest()[:32]}.npz"
+
+    @staticmethod
+    def between(body: Block, role: Role, low_mm: float, high_mm: float) -> Table | None:
+        """Return the table of a block by interpolation; None where there is none to be had.
+
+        The tables of the range of thicknesses, ``low_mm`` to ``high_mm``, are made, some seconds
+        each, and cached.
+        """
+        if not low_mm <= body.thickness_mm <= high_mm or not low_mm < high_mm <= WIDEST * low_mm:
+            return None
+        if not _is_compact(body.model_copy(update={"thickness_mm": low_mm})):
+            return None
+        found = _tables(body.width_mm, body.length_mm, role, low_mm, high_mm)
+        if found is None:
+            return None
+        modes, digest, error = found
+        window, box = _window_of(body)
+        weights = Axis.chebyshev(len(modes), low_mm, high_mm).basis(np.array([body.thickness_mm]))[
+            0
+        ]
+        return Table(
+            coefficients=np.tensordot(weights, modes, axes=1),
+            window_mm=window,
+            box_mm=box,
+            digest=digest,
+            error=error,
         )
 
 
@@ -382,10 +460,6 @@ STEP = 2e-6
 """Coefficients are stored as whole numbers of steps, this share of the largest: displacements are
 then 4e-6 off."""
 
-USABLE = 5e-4
-"""Largest `Table.error` with which a table is used: thin blocks need more polynomials than it
-has."""
-
 THIN, OBLONG = 4.6, 1.5
 """Largest ratios of a block's longest side to its thickness, and to its other side, for which a
 table holds all of w: beyond, its error is above 8e-4 and 2e-3 (twelve blocks)."""
@@ -420,49 +494,6 @@ def _lies_within(load: Rectangles, window_mm: tuple[float, float]) -> bool:
         load.half_mm[:, :, None] * np.abs(frames[:, :2, :2])
     ).sum(axis=1)
     return bool((frames[:, 2, 2] > 1.0 - 1e-12).all() and (reach <= window_mm).all())
-
-
-def find_table(
-    body: Body,
-    role: Role,
-    *,
-    poisson_ratio: float | None = None,
-    make: bool = False,
-    progress: Progress | None = None,
-    usable: float = USABLE,
-) -> Table | None:
-    """Return the table of a block: the stored one, else (with ``make``) a new one; None without.
-
-    Making takes some seconds, for one ``poisson_ratio`` alone a fifth of them. A damaged file warns
-    and counts as absent, like a table whose `Table.error` is above ``usable``.
-    """
-    if not isinstance(body, Block) or not (_is_compact(body) or BondedLayer.of(body, NU_RANGE[1])):
-        return None
-    usable *= CHECK if role == "check" else 1.0
-    path = table_path(body, role)
-    of_all = pinned(path.name) if is_pinned() else path.exists()
-    if not of_all and poisson_ratio is not None:
-        path = table_path(body, role, poisson_ratio)
-    if is_pinned():
-        return _usable(held, usable) if (held := pinned(path.name)) else None
-    if make and not path.exists() and not _is_standard(body):
-        mesh = drawn_to_rim(body_mesh(body, MADE[role], progress=progress), body)
-        table = Table.make(body, mesh, progress, poisson_ratio)
-        with kept_if_possible():  # without the table solves stand in
-            table.write(path)
-    return _usable(path, usable)
-
-
-def table_path(body: Block, role: Role, poisson_ratio: float | None = None) -> Path:
-    """Return the file of a block's table, of one nu or of all: shipped for the standard block, in
-    the cache for others."""
-    if _is_standard(body):
-        return MESHES / f"kamiyama_block.{role}.table.npz"
-    key = mesh_key(body, Sizing.of(body, MADE[role]))
-    every = NU_RANGE if poisson_ratio is None else poisson_ratio
-    kind = [every, THIN, OBLONG, OFF_SIDES, DEEP]
-    found = json.dumps([key, RIM_SHARE, SIZES, kind, WINDOW, BOX, STEP])
-    return cache_folder() / f"table-{hashlib.sha256(found.encode()).hexdigest()[:32]}.npz"
 
 
 def _is_standard(body: Body) -> bool:
@@ -567,7 +598,7 @@ def _main(roles: list[str]) -> None:
     for role in ROLES:
         if not roles or role in roles:
             mesh = drawn_to_rim(body_mesh(STANDARD, SHIPPED[role]), STANDARD)
-            path = table_path(STANDARD, role)
+            path = Table.path(STANDARD, role)
             Table.make(STANDARD, mesh).write(path)
             print(f"{path}: {path.stat().st_size} bytes, error {Table.read(path).error:.1e}")
 
@@ -656,7 +687,7 @@ class Tables:
             return self._use if role != "check" else None
         if not self._use:
             return None
-        return find_table(
+        return Table.find(
             self._body, role, poisson_ratio=self._nu, make=make, progress=self._progress
         )
 
@@ -675,31 +706,6 @@ WIDEST = 3.0
 """Largest ratio of the thicknesses of a range."""
 
 
-def table_between(body: Block, role: Role, low_mm: float, high_mm: float) -> Table | None:
-    """Return the table of a block by interpolation; None where there is none to be had.
-
-    The tables of the range of thicknesses, ``low_mm`` to ``high_mm``, are made, some seconds each,
-    and cached.
-    """
-    if not low_mm <= body.thickness_mm <= high_mm or not low_mm < high_mm <= WIDEST * low_mm:
-        return None
-    if not _is_compact(body.model_copy(update={"thickness_mm": low_mm})):
-        return None
-    found = _tables(body.width_mm, body.length_mm, role, low_mm, high_mm)
-    if found is None:
-        return None
-    modes, digest, error = found
-    window, box = _window_of(body)
-    weights = Axis.chebyshev(len(modes), low_mm, high_mm).basis(np.array([body.thickness_mm]))[0]
-    return Table(
-        coefficients=np.tensordot(weights, modes, axes=1),
-        window_mm=window,
-        box_mm=box,
-        digest=digest,
-        error=error,
-    )
-
-
 @lru_cache(maxsize=8)
 def _tables(
     width_mm: float, length_mm: float, role: Role, low_mm: float, high_mm: float
@@ -710,7 +716,7 @@ def _tables(
     thicknesses = Axis.chebyshev(FEW if high_mm <= NARROW * low_mm else MANY, low_mm, high_mm)
     for thickness in thicknesses.nodes:
         body = Block(width_mm=width_mm, length_mm=length_mm, thickness_mm=float(thickness))
-        table = find_table(body, role, make=True, usable=GOOD)
+        table = Table.find(body, role, make=True, usable=GOOD)
         if table is None:
             return None
         tables.append(table)

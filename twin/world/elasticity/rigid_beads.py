@@ -80,19 +80,22 @@ class StiffBeads:
         own[self.rows] = np.arange(len(self.rows))
         return own
 
-
-def stiff_beads(markers: MarkerSet, layers: Mapping[str, MarkerLayer]) -> StiffBeads | None:
-    """Return the beads of the layers that are ``stiff``, None if no layer is."""
-    radius = np.zeros(len(markers))
-    for name, layer in layers.items():
-        radius[markers.of(name)] = layer.diameter_mm / 2 if layer.stiff else 0.0
-    rows = np.flatnonzero(radius)
-    if len(rows) == 0:
-        return None
-    beads = StiffBeads(
-        points=markers.points, rows=frozen(rows), radius_mm=frozen(radius[rows]), per_strain=None
-    )
-    if 18 * len(markers) * len(rows) > MOST_KEPT:
-        return beads
-    per_strain = shift_per_strain(markers.points, markers.points[rows], beads._own)
-    return replace(beads, per_strain=frozen(per_strain))
+    @staticmethod
+    def of(markers: MarkerSet, layers: Mapping[str, MarkerLayer]) -> StiffBeads | None:
+        """Return the beads of the layers that are ``stiff``, None if no layer is."""
+        radius = np.zeros(len(markers))
+        for name, layer in layers.items():
+            radius[markers.of(name)] = layer.diameter_mm / 2 if layer.stiff else 0.0
+        rows = np.flatnonzero(radius)
+        if len(rows) == 0:
+            return None
+        beads = StiffBeads(
+            points=markers.points,
+            rows=frozen(rows),
+            radius_mm=frozen(radius[rows]),
+            per_strain=None,
+        )
+        if 18 * len(markers) * len(rows) > MOST_KEPT:
+            return beads
+        per_strain = shift_per_strain(markers.points, markers.points[rows], beads._own)
+        return replace(beads, per_strain=frozen(per_strain))

@@ -38,7 +38,7 @@ class StrainLaw(Protocol):
 
 
 @dataclass(frozen=True)
-class Polynomial:
+class _Polynomial:
     """W = c1 (I1 - 3) + c2 (I2 - 3) + c11 (I1 - 3)^2 + c111 (I1 - 3)^3 - p(J), with c1 + c2 = 1/2.
 
     I1 = F:F and I2 = cof F : cof F (Rivlin and Saunders 1951; Yeoh 1993). The last term is
@@ -106,10 +106,10 @@ def strain_law(material: Material) -> StrainLaw:
     """Return the law that a scene names (`Material.law`); linear theory has none here."""
     ratios = material.law_ratios
     if material.law == "mooney_rivlin":
-        return Polynomial(c2=0.5 * ratios[0] / (1.0 + ratios[0]))
+        return _Polynomial(c2=0.5 * ratios[0] / (1.0 + ratios[0]))
     if material.law == "yeoh":
-        return Polynomial(c11=0.5 * ratios[0], c111=0.5 * ratios[1])
-    return Polynomial()
+        return _Polynomial(c11=0.5 * ratios[0], c111=0.5 * ratios[1])
+    return _Polynomial()
 
 
 _TURNS = np.zeros((3, 3, 3))

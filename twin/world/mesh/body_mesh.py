@@ -37,7 +37,7 @@ from twin.world.mesh.quadratic_mesh import FORMAT, Mesh
 from twin.world.mesh.quality import Quality, dihedral_angles, open_edges
 from twin.world.mesh.sizing import Level, Sizing, WantedEdge, surface_samples
 from twin.world.mesh.snap import onto_sheets, snapped_mesh
-from twin.world.mesh.tetrahedralise import Request, remeshed, tetrahedralise
+from twin.world.mesh.tetrahedralise import Request, remeshed
 
 
 def mesh_key(body: Body, sizing: Sizing) -> str:
@@ -432,4 +432,4 @@ def _start(
         coarse_mm=sizing.coarse_mm,
         envelope=_ENVELOPE * min(sizing.fine_mm, sizing.rim_mm) / diagonal,
     )
-    return tetrahedralise(request, processor_s=processor_s)
+    return request.solve(processor_s=processor_s)

@@ -58,40 +58,39 @@ class Request:
     coarse_mm: float
     envelope: float = 1e-3
 
+    def solve(
+        self, *, limit_s: float = 600.0, processor_s: float | None = None
+    ) -> tuple[Points, Ints]:
+        """Fill a closed surface: return points (n, 3), mm, every one used, and (m, 4) positive
+        tetrahedra. Not deterministic: the mesher isn't.
 
-def tetrahedralise(
-    request: Request, *, limit_s: float = 600.0, processor_s: float | None = None
-) -> tuple[Points, Ints]:
-    """Fill a closed surface: return points (n, 3), mm, every one used, and (m, 4) positive
-    tetrahedra. Not deterministic: the mesher isn't.
+        ``limit_s`` limits the child's time, s, and ``processor_s`` its processor time, which
+        another program's work does not use up (Unix only).
 
-    ``limit_s`` limits the child's time, s, and ``processor_s`` its processor time, which another
-    program's work does not use up (Unix only).
-
-    Raises
-    ------
-    InputError
-        If the surface is not closed, or has numbers or indices the mesher can't survive.
-    MeshError
-        If the child fails, takes too long, or returns no body.
-    """
-    _check_request(request)
-    with tempfile.TemporaryDirectory(prefix="twin-mesh-") as folder:
-        given, made = Path(folder, "in.npz"), Path(folder, "out.npz")
-        with given.open("wb") as file:
-            limits = {"limit_s": limit_s, "processor_s": processor_s or limit_s}
-            values: dict[str, Any] = {**limits, **vars(request)}
-            np.savez(file, **values)
-        _run_child(
-            [sys.executable, "-m", "twin.world.mesh.tetrahedralise", str(given), str(made)],
-            folder,
-            limit_s,
-        )
-        if not made.exists():
-            raise MeshError("the mesher ended without a result; build the mesh again")
-        with np.load(made, allow_pickle=False) as result:
-            points, tets = result["points"], result["tets"]
-    return _checked_result(request, points, tets)
+        Raises
+        ------
+        InputError
+            If the surface is not closed, or has numbers or indices the mesher can't survive.
+        MeshError
+            If the child fails, takes too long, or returns no body.
+        """
+        _check_request(self)
+        with tempfile.TemporaryDirectory(prefix="twin-mesh-") as folder:
+            given, made = Path(folder, "in.npz"), Path(folder, "out.npz")
+            with given.open("wb") as file:
+                limits = {"limit_s": limit_s, "processor_s": processor_s or limit_s}
+                values: dict[str, Any] = {**limits, **vars(self)}
+                np.savez(file, **values)
+            _run_child(
+                [sys.executable, "-m", "twin.world.mesh.tetrahedralise", str(given), str(made)],
+                folder,
+                limit_s,
+            )
+            if not made.exists():
+                raise MeshError("the mesher ended without a result; build the mesh again")
+            with np.load(made, allow_pickle=False) as result:
+                points, tets = result["points"], result["tets"]
+        return _checked_result(self, points, tets)
 
 
 GROWTH = 2.0
