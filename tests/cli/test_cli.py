@@ -85,6 +85,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["explain", "PICTURE"], ["can't be read as JSON"]),
         (["run", "block_bare", "--open", "--want", "score"], ["--want leaves the report out"]),
         (["run", "kamiyama_piller"], ["did you mean 'kamiyama_pillar'"]),
+        (["run", "minne.toml"], ["did you mean 'mine.toml'"]),
         (["run", "nowhere/at_all.toml"], ["no scene", "shipped ones are"]),
         (["run", "block_bare", "--ouut", "x"], ["--ouut", "--out"]),
         (["run", "block_bare", "--want", "dispalcement"], ["did you mean 'displacement'"]),
@@ -107,6 +108,7 @@ def test_wrong_input_is_told_in_the_users_terms(
     monkeypatch.chdir(tmp_path)
     Path("FOLDER").mkdir()
     Path("FILE").touch()
+    Path("mine.toml").touch()
     Path("PICTURE").write_bytes(b"\x89PNG\r\n")
     Path("BODY.stl").write_bytes(bytes(84))
     Path("LINK").symlink_to("NOWHERE")

@@ -46,6 +46,8 @@ def recording(tmp_path_factory):
         (b"\xff\xfe\x00\x01", "can't be read|lacks"),
         # a force in grams, in a table with blanks and without z
         (HEAD + "rest.png, 0, 0, , 0, 0, 200\n", r"press 1 has 200 N.*Forces are in N"),
+        (HEAD + "rest.png,0,0,,0,0,1\nrest.png,100,0,,0,0,1\n", r"press 2 at x_mm = 100, .* within x -?\d"),
+        (HEAD + "rest.png,100,0,0,0,0,1\n", r"press 1 at x_mm = 100, .* within x -?\d"),
     ],
 )
 def test_a_bad_table_is_told_by_line_and_column(recording, text, words):

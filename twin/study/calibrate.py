@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Points, Progress
+from twin.arrays import Bools, Floats, Ints, Points, Progress
 from twin.blas_threads import one_blas_thread
 from twin.errors import ContactError, InputError, RecipeError
 from twin.files import cache_folder, kept_if_possible, make_folder
-from twin.parts.body import Block
+from twin.parts.body import Block, Body
 from twin.parts.camera import Camera
 from twin.parts.part import identity
 from twin.parts.press import Press, Sphere, Step
@@ -538,16 +538,32 @@ def _check_forces(scene: Scene, force_n: Floats) -> None:
         )
 
 
+def _require_places(body: Body, places_mm: Points, on_surface: Bools) -> None:
+    """Refuse a table of presses whose places are not all on the surface."""
+    if on_surface.all():
+        return
+    first = int(np.flatnonzero(~on_surface)[0])
+    (x0, y0, _), (x1, y1, _) = body.bounds_mm
+    x, y, _ = places_mm[first]
+    raise InputError(
+        f"{TABLE}: press {first + 1} at x_mm = {x:g}, y_mm = {y:g} misses the sensing surface, "
+        f"which lies within x {x0:g} to {x1:g} mm and y {y0:g} to {y1:g} mm of the body's middle: "
+        "mend the place, or its unit"
+    )
+
+
 def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibration:
     """Return the calibration by presses at (q, 3) places of the surface, mm."""
     scene = sensor.nominal
     assert scene.reconstruction is not None
     given = np.isfinite(places_mm[:, 2:])
     points = np.where(given, places_mm, scene.body.surface_from_above(places_mm[:, :2]))
-    if not np.isfinite(points).all():
-        raise InputError(f"{TABLE}: some presses miss the body")
+    _require_places(scene.body, places_mm, np.isfinite(points[:, 2]))
     _check_forces(scene, presses.force_n)
     charts = scene.body.chart_of(points)
+    _require_places(
+        scene.body, places_mm, scene.body.contains(scene.body.chart_points(charts), -1e-6)
+    )
     half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
     # Fitted: any places. Presses nearly at one place share it.
     if scene.calibration.method == "fitted":

@@ -363,7 +363,9 @@ def _find(name: str, near: Sequence[Path], what: str, where: Path | None = None)
             return candidate
     known = [p.stem for p in sorted(folder.glob("*.toml")) if p.stem.startswith(SWEEP) == is_sweep]
     otherwise = f"there is no such file, and shipped ones are: {', '.join(known)}"
-    text = f"no {what} '{name}': {did_you_mean(Path(name).stem, known, otherwise)}"
+    files = [file.name for file in given[0].parent.glob("*.toml")]
+    near_file = did_you_mean(Path(name).name, files, otherwise)
+    text = f"no {what} '{name}': {did_you_mean(Path(name).stem, known, near_file)}"
     if name and any(os.path.lexists(file) for file in given):
         text = f"{what} '{name}': is no file to read, but a folder, a device, or a link to nowhere"
     raise InputError(text) if where is None else RecipeError(text, str(where))

@@ -103,7 +103,7 @@ def _best_table(done: Swept) -> tuple[list[str], list[list[str]]]:
 
 def _short(value: object) -> str:
     if isinstance(value, float):
-        return f"{value:.3g}" if np.isfinite(value) else "–"
+        return f"{float(f'{value:.3g}'):g}" if np.isfinite(value) else "–"
     return str(value)
 
 
@@ -225,7 +225,7 @@ def write_report(done: Swept, folder: Path) -> list[str]:
     text = page(title, _verdict(done), alarms, sections, tomli_w.dumps(recipe))
     write_whole(folder / "report.html", text.encode())
     # a design a column: five of them fit a terminal, however many axes there are
-    name, cell = max(map(len, heads)), max([8, *(len(c) for row in rows for c in row)])
+    name, cell = max(map(len, heads)), 2 + max([6, *(len(c) for row in rows for c in row)])
     lines = [
         head.ljust(name) + "".join(value.rjust(cell) for value in values)
         for head, *values in zip(heads, *rows, strict=True)

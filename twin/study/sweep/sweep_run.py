@@ -28,6 +28,7 @@ import time
 import warnings
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -789,8 +790,8 @@ def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[str]:
             f"with {counted(workers, 'worker')}, a free core each: {each:.3g} s of CPU a design "
             f"({how}), {start:.2g} s to begin"
         )
-        bad = [row for row in rows if row["status"] != "ok"]
-        lines += [f"            {row['status']}: {row['error']}" for row in bad]
+        bad = Counter(f"{row['status']}: {row['error']}" for row in rows if row["status"] != "ok")
+        lines += [f"            {count} of {len(rows)} tried {why}" for why, count in bad.items()]
     return lines
 
 
