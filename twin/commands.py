@@ -431,11 +431,43 @@ def mesh(
     twin mesh sato_press
     twin mesh sato_press --export finger.vtu
     """
-    from twin.study.check import describe_meshes
 
     loaded = _load(scene, set_)
-    lines = describe_meshes(loaded, rebuild=rebuild, export=export, progress=_progress())
+    lines = _describe_meshes(loaded, rebuild=rebuild, export=export, progress=_progress())
     print("\n".join(lines))
+
+
+def _describe_meshes(
+    scene: Scene, *, rebuild: bool, export: Path | None = None, progress: Progress | None = None
+) -> list[str]:
+    """Return a line for each of the body's meshes: size and worst quality; make them again, or
+    export, if asked."""
+    from twin.world.mesh.body_mesh import body_mesh
+    from twin.world.mesh.quality import Quality
+    from twin.world.mesh.sizing import Level
+
+    lines = []
+    levels: tuple[Level, ...] = (
+        "standard",
+        "nominal",
+    )  # what most scenes need; the others are made on request
+    for level in levels:
+        mesh = body_mesh(scene.body, level, rebuild=rebuild, progress=progress)
+        if export is not None and level == "standard":
+            mesh.export(scene.body, export)
+        worst = Quality.of(mesh, scene.body)
+        failures = worst.failures()
+        state = (
+            "; ".join(failures)
+            or f"smallest dihedral angle {worst.least_dihedral_deg:.1f} deg, volume and surface ok"
+        )
+        lines.append(
+            f"{level:8s} {len(mesh.tets)} tetrahedra, {len(mesh.points)} nodes, {mesh.unknowns} "
+            f"unknowns; {state}"
+        )
+    if progress is not None:
+        progress("done", 1.0)
+    return lines
 
 
 _Layers = Annotated[

@@ -1,9 +1,9 @@
-"""What `twin check`, `twin mesh` and `twin doctor` find out, as the lines that they print.
+"""What `twin check` and `twin doctor` find out, as the lines that they print.
 
 `check_path` checks a scene, sweep, calibration, folder of results or dataset, and raises an error
-that lists every problem. `describe_meshes` lists the meshes of a body and their quality. `examine`
-lists what this machine has. `check_camera` is what two rest pictures say about a camera: noise,
-exposure, focus, compression, and the errors of shifts and forces that follow.
+that lists every problem. `examine` lists what this machine has. `check_camera` is what two rest
+pictures say about a camera: noise, exposure, focus, compression, and the errors of shifts and
+forces that follow.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.arrays import Floats, Picture, Progress
+from twin.arrays import Floats, Picture
 from twin.errors import InputError, MissingCapability, RecipeError
 from twin.files import MESHES, SCENES, cache_folder, read_arrays
 from twin.parts.part import Part
@@ -164,39 +164,6 @@ def _vectors(array: np.ndarray, axes: int) -> Floats:
             f"an array of {array.dtype} has shape {array.shape}, must be numbers, (n, 3) or (3,)"
         )
     return np.asarray(array, float)
-
-
-def describe_meshes(
-    scene: Scene, *, rebuild: bool, export: Path | None = None, progress: Progress | None = None
-) -> list[str]:
-    """Return a line for each of the body's meshes: size and worst quality; make them again, or
-    export, if asked."""
-    from twin.world.mesh.body_mesh import body_mesh
-    from twin.world.mesh.quality import Quality
-    from twin.world.mesh.sizing import Level
-
-    lines = []
-    levels: tuple[Level, ...] = (
-        "standard",
-        "nominal",
-    )  # what most scenes need; the others are made on request
-    for level in levels:
-        mesh = body_mesh(scene.body, level, rebuild=rebuild, progress=progress)
-        if export is not None and level == "standard":
-            mesh.export(scene.body, export)
-        worst = Quality.of(mesh, scene.body)
-        failures = worst.failures()
-        state = (
-            "; ".join(failures)
-            or f"smallest dihedral angle {worst.least_dihedral_deg:.1f} deg, volume and surface ok"
-        )
-        lines.append(
-            f"{level:8s} {len(mesh.tets)} tetrahedra, {len(mesh.points)} nodes, {mesh.unknowns} "
-            f"unknowns; {state}"
-        )
-    if progress is not None:
-        progress("done", 1.0)
-    return lines
 
 
 NEEDED = (

@@ -214,26 +214,6 @@ def doubts(scene: Scene) -> list[str]:
     return found + (list(_of_picture(scene)) if scene.camera is not None else [])
 
 
-def unseen(scene: Scene, shift_px: Pixels, noise_px: float | None) -> list[str]:
-    """Return a warning where a press moves no marker by as much as ``noise_px``.
-
-    That is the standard deviation of a measured shift (None where it is not known); ``shift_px``
-    are (n, 2) true shifts.
-    """
-    moved = np.linalg.norm(shift_px, axis=1)
-    if noise_px is None or not np.isfinite(moved).any() or np.nanmax(moved) >= noise_px:
-        return []
-    keys = "tractions in N"
-    if scene.press is not None:
-        keys = "press.force_n in N, or indentation_mm in mm"
-    return [
-        f"no marker moves by more than {np.nanmax(moved):.2g} px in the picture, less than the "
-        f"noise of a measured shift ({noise_px:.2g} px): nothing can be measured; press harder "
-        f"({keys}), or take softer rubber (material.youngs_modulus_mpa = "
-        f"{scene.material.youngs_modulus_mpa:g} MPa)"
-    ]
-
-
 def _of_body(scene: Scene) -> Iterator[str]:
     moduli = {"material": scene.material.youngs_modulus_mpa}
     if scene.cover is not None and scene.cover.youngs_modulus_mpa is not None:

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats, Picture, Progress
+from twin.arrays import Floats, Picture, Pixels, Progress
 from twin.blas_threads import one_blas_thread
 from twin.compiled import COMPILING, compiled_ahead
 from twin.errors import ContactError, InputError, RecipeError, SomeFailed
@@ -38,7 +38,7 @@ from twin.parts.press import Press, Sphere
 from twin.parts.probe import Cylinder
 from twin.parts.scene import Scene
 from twin.results import Estimate, RunResult, Touch, Truth
-from twin.study.doubts import doubts, noise_bound, unseen
+from twin.study.doubts import doubts, noise_bound
 from twin.study.recipe import dump_scene, load_scene
 from twin.study.sensor import Motion, Sensor
 from twin.theory.contact import hertz, largest_strain_and_turn, punch_pressure
@@ -316,7 +316,7 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
         noise_px = (tracking or {}).get("sd_px")
         if bound_px is not None and np.isfinite(bound_px).any():
             noise_px = float(np.nanmedian(bound_px))
-        warned += unseen(scene, shift_px, noise_px)
+        warned += _unseen(scene, shift_px, noise_px)
     if warned := [*warned, *_tracking_doubt(tracking)]:
         facts["warnings"] = warned
     if state is not None:
@@ -348,6 +348,26 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
         facts=facts,
         timings=timings,
     )
+
+
+def _unseen(scene: Scene, shift_px: Pixels, noise_px: float | None) -> list[str]:
+    """Return a warning where a press moves no marker by as much as ``noise_px``.
+
+    That is the standard deviation of a measured shift (None where it is not known); ``shift_px``
+    are (n, 2) true shifts.
+    """
+    moved = np.linalg.norm(shift_px, axis=1)
+    if noise_px is None or not np.isfinite(moved).any() or np.nanmax(moved) >= noise_px:
+        return []
+    keys = "tractions in N"
+    if scene.press is not None:
+        keys = "press.force_n in N, or indentation_mm in mm"
+    return [
+        f"no marker moves by more than {np.nanmax(moved):.2g} px in the picture, less than the "
+        f"noise of a measured shift ({noise_px:.2g} px): nothing can be measured; press harder "
+        f"({keys}), or take softer rubber (material.youngs_modulus_mpa = "
+        f"{scene.material.youngs_modulus_mpa:g} MPa)"
+    ]
 
 
 def _at_rate(scene: Scene, press: Press) -> tuple[Press, Floats | None]:

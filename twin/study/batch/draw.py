@@ -8,75 +8,19 @@ sample.
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any, Literal
 
-import numpy as np
-
-from twin.arrays import Floats
 from twin.errors import RecipeError, did_you_mean
 from twin.parts.scene import Scene
 from twin.parts.vary import Distribution, Follows
-from twin.streams import Purpose, stream
 from twin.study.recipe import ALTERNATIVES, PROVENANCE, validate_scene
 
 Sampling = Literal["stratified", "random"]
 Table = dict[str, Any]
 
 _HOLDERS = (*PROVENANCE, "vary", "dataset")
-
-
-def draws(
-    axes: Mapping[str, Distribution],
-    seed: int,
-    purpose: Purpose,
-    sampling: Sampling,
-    numbers: Sequence[int],
-    apart_from: Mapping[str, Distribution] | None = None,
-) -> list[Table]:
-    """Return the values of all axes by dotted key, a table for every sample number; keys that
-    follow others are left out.
-
-    Axes that are drawn for another purpose are named in ``apart_from``: the same dimension of two
-    scrambled sequences is correlated (-0.6 over 64 points), so these take later dimensions.
-    """
-    width = sum(axis.takes for axis in axes.values())
-    taken = sum(axis.takes for axis in (apart_from or {}).values())
-    rows = _unit_numbers(seed, purpose, sampling, numbers, width, taken)
-    found = []
-    for u in rows:
-        values = {}
-        start = 0
-        for key in sorted(axes):
-            axis = axes[key]
-            if not isinstance(axis, Follows):
-                values[key] = axis.at(u[start : start + axis.takes])
-                start += axis.takes
-        found.append(values)
-    return found
-
-
-def _unit_numbers(
-    seed: int, purpose: Purpose, sampling: Sampling, numbers: Sequence[int], width: int, taken: int
-) -> Floats:
-    """Return (len(numbers), width) numbers in [0, 1), a row for every sample number: of a sequence
-    the dimensions after the first ``taken``."""
-    if width == 0 or not numbers:
-        return np.zeros((len(numbers), width))
-    if sampling == "random":
-        return np.array([stream(seed, purpose, number).random(width) for number in numbers])
-    from scipy.stats import qmc
-
-    sequence = qmc.Sobol(taken + width, scramble=True, rng=stream(seed, purpose))
-    first, last = min(numbers), max(numbers)
-    with warnings.catch_warnings():  # a part of the sequence need not be a power of two
-        warnings.simplefilter("ignore", UserWarning)
-        if first:
-            sequence.fast_forward(first)
-        points = sequence.random(last - first + 1)
-    return np.asarray(points[np.asarray(numbers) - first, taken:])
 
 
 def with_values(

@@ -1,9 +1,10 @@
-"""What a dataset is: the scene, its shards and draws, the places of its files, and their sums."""
+"""What a dataset is: the scene, its shards and _draws, the places of its files, and their sums."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping
+import warnings
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,15 +14,16 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from pydantic import ValidationError
 
+from twin.arrays import Floats
 from twin.errors import InputError, RecipeError, did_you_mean
 from twin.files import file_digest
 from twin.parts.load import Footprint, Load
 from twin.parts.part import Part, in_words
 from twin.parts.press import Press
 from twin.parts.scene import Scene
-from twin.parts.vary import Choice, Distribution, ForceCone, Normal, Uniform
-from twin.streams import Purpose
-from twin.study.batch.draw import Table, draws, plain_table, put, with_values
+from twin.parts.vary import Choice, Distribution, Follows, ForceCone, Normal, Uniform
+from twin.streams import Purpose, stream
+from twin.study.batch.draw import Sampling, Table, plain_table, put, with_values
 from twin.study.batch.pool import Job
 from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR, Column, Kind, Need, bare
 
@@ -151,14 +153,14 @@ class Plan:
         """Return what is drawn for the samples, by dotted key."""
         sampling = self.scene.dataset.sampling
         seed = self.scene.seed
-        return draws(self.press_axes, seed, Purpose.SAMPLING, sampling, samples)
+        return _draws(self.press_axes, seed, Purpose.SAMPLING, sampling, samples)
 
     def sensor_values(self, sensors: range) -> list[Table]:
         """Return what is drawn for the sensors, by dotted key."""
         sampling = self.scene.dataset.sampling
         seed = self.scene.seed
         axes, others = self.sensor_axes, self.press_axes
-        return draws(axes, seed, Purpose.SENSOR, sampling, sensors, apart_from=others)
+        return _draws(axes, seed, Purpose.SENSOR, sampling, sensors, apart_from=others)
 
     def press_table(self, values: Table) -> Any:
         """Return the plain table of a press, or the tables of tractions, with drawn values."""
@@ -238,6 +240,57 @@ class Plan:
                 at = f"at the {'high' if end else 'low'} ends of the ranges in [vary]: "
                 raise RecipeError([at + line for line in problem.problems]) from None
         _ = self.columns
+
+
+def _draws(
+    axes: Mapping[str, Distribution],
+    seed: int,
+    purpose: Purpose,
+    sampling: Sampling,
+    numbers: Sequence[int],
+    apart_from: Mapping[str, Distribution] | None = None,
+) -> list[Table]:
+    """Return the values of all axes by dotted key, a table for every sample number; keys that
+    follow others are left out.
+
+    Axes that are drawn for another purpose are named in ``apart_from``: the same dimension of two
+    scrambled sequences is correlated (-0.6 over 64 points), so these take later dimensions.
+    """
+    width = sum(axis.takes for axis in axes.values())
+    taken = sum(axis.takes for axis in (apart_from or {}).values())
+    rows = _unit_numbers(seed, purpose, sampling, numbers, width, taken)
+    found = []
+    for u in rows:
+        values = {}
+        start = 0
+        for key in sorted(axes):
+            axis = axes[key]
+            if not isinstance(axis, Follows):
+                values[key] = axis.at(u[start : start + axis.takes])
+                start += axis.takes
+        found.append(values)
+    return found
+
+
+def _unit_numbers(
+    seed: int, purpose: Purpose, sampling: Sampling, numbers: Sequence[int], width: int, taken: int
+) -> Floats:
+    """Return (len(numbers), width) numbers in [0, 1), a row for every sample number: of a sequence
+    the dimensions after the first ``taken``."""
+    if width == 0 or not numbers:
+        return np.zeros((len(numbers), width))
+    if sampling == "random":
+        return np.array([stream(seed, purpose, number).random(width) for number in numbers])
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(taken + width, scramble=True, rng=stream(seed, purpose))
+    first, last = min(numbers), max(numbers)
+    with warnings.catch_warnings():  # a part of the sequence need not be a power of two
+        warnings.simplefilter("ignore", UserWarning)
+        if first:
+            sequence.fast_forward(first)
+        points = sequence.random(last - first + 1)
+    return np.asarray(points[np.asarray(numbers) - first, taken:])
 
 
 def _valid(part: type[P], table: Table, where: str) -> P:

@@ -12,10 +12,11 @@ made on it); patches that are not gathered into point forces; and 12 x 12 rays p
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -34,13 +35,15 @@ from twin.parts.scene import Scene, Sites
 from twin.streams import Purpose
 from twin.study.batch.draw import Table, with_values
 from twin.study.batch.pool import Pool
-from twin.study.dataset.columns import bare, in_cells, parquet
+from twin.study.dataset.columns import Column, bare, in_cells
 from twin.study.dataset.plan import MOST_STEPS, Plan
 from twin.study.film import Exposures, at_frames
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor, on_surface
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from twin.parts.press import Press
     from twin.world.contact.contact_state import ContactState
     from twin.world.elasticity.compliance import Compliance
@@ -417,11 +420,67 @@ def make_shard(folder: Path, shard: int) -> ShardBytes:
         words = {"twin.content": shop.content, "twin.samples": f"{numbers.start}-{numbers.stop}"}
         ours = [row for number, row in sensors.items() if number in firsts]
         return ShardBytes(
-            samples=parquet(rows, plan.row_columns, words),
-            sensors=parquet(ours, plan.sensor_columns, words) if ours else None,
+            samples=_parquet(rows, plan.row_columns, words),
+            sensors=_parquet(ours, plan.sensor_columns, words) if ours else None,
             failed=failed,
             reason=reason,
         )
+
+
+def _parquet(
+    rows: list[dict[str, Any]], columns: Sequence[Column], words: Mapping[str, str]
+) -> bytes:
+    """Return rows as a Parquet file; pictures are stored as they are, a few to a row group."""
+    import pyarrow.parquet as pq
+
+    # names of a column's leaves: of itself, of a list, of a list of vectors
+    leaves = {
+        f"{column.name}{tail}": "NONE" if column.kind == "png" else "ZSTD"
+        for column in columns
+        for tail in ("", ".list.element", ".list.element.list.element")
+    }
+    file = io.BytesIO()
+    pq.write_table(
+        _to_arrow(rows, columns, words),
+        file,
+        compression=leaves,
+        use_dictionary=False,
+        write_statistics=False,
+        row_group_size=8 if any(c.kind == "png" for c in columns) else 1024,
+        version="2.6",
+    )
+    return file.getvalue()
+
+
+def _to_arrow(
+    rows: list[dict[str, Any]], columns: Iterable[Column], metadata: Mapping[str, str]
+) -> pa.Table:
+    """Return rows as an Arrow table with a line about every column; missing values are null."""
+    import pyarrow as pa
+
+    fields = [pa.field(c.name, c.arrow_type(c.kind), metadata={"what": c.what}) for c in columns]
+    schema = pa.schema(fields, metadata=dict(metadata))
+    arrays = [_array([row.get(field.name) for row in rows], field.type) for field in schema]
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _array(values: list[Any], kind: pa.DataType) -> pa.Array:
+    """Return one column; lists are made without a Python object per number."""
+    import pyarrow as pa
+
+    if not pa.types.is_list(kind):
+        return pa.array(values, kind)
+    present = [np.ascontiguousarray(v) for v in values if v is not None]
+    lengths = np.array([0 if v is None else len(v) for v in values])
+    offsets = pa.array(np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32))
+    inner = kind.value_type
+    size = inner.list_size if pa.types.is_fixed_size_list(inner) else 1
+    numbers = np.concatenate([v.reshape(-1) for v in present]) if present else np.zeros(0)
+    flat: Any = pa.array(numbers, inner.value_type if size > 1 else inner)
+    if size > 1:
+        flat = pa.FixedSizeListArray.from_arrays(flat, type=inner)
+    mask = pa.array([v is None for v in values])
+    return pa.ListArray.from_arrays(offsets, flat, type=kind, mask=mask)
 
 
 def audit_sample(folder: Path, sample: int) -> dict[str, float]:
