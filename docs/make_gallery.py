@@ -224,27 +224,29 @@ CAMERAS = Room(
         ),
         Plate(
             "chain",
-            "The same for lens and camera: haze; a ghost; smear; flicker under a rolling shutter; white balance of "
-            "reddish light.",
+            "The same for window, lens and camera: scratches and bubbles on the window; haze; a ghost; smear; flicker "
+            "under a rolling shutter; white balance of reddish light.",
             """
             rolling = {"exposure_ms": 3, "frames_per_second": 30, "readout_ms": 20}
             effects = {
-                "haze": {"haze": 0.4, "haze_px": 20},
-                "ghost": {"ghost": 0.3, "ghost_px": [9, 4]},
-                "smear": {"smear": 0.3},
-                "flicker": {"flicker": 0.8, "flicker_hz": 200, **rolling},
-                "white_balance": {"white_balance": "grey"},
+                "camera.scratches": {"count": 400, "size_mm": 0.06, "length_mm": 8},
+                "camera.bubbles": {"count": 2000, "size_mm": 0.8, "hollow": 0.7, "albedo": 0},
+                "ccd.haze": {"haze": 0.4, "haze_px": 20},
+                "ccd.ghost": {"ghost": 0.3, "ghost_px": [9, 4]},
+                "ccd.smear": {"smear": 0.3},
+                "ccd.flicker": {"flicker": 0.8, "flicker_hz": 200, **rolling},
+                "ccd.white_balance": {"white_balance": "grey"},
             }
             reddish = {"light.colours": [[1, 0.7, 0.5]] * 4}
-            figure, axes = plt.subplots(2, 5, figsize=(13, 4.2), layout="constrained")
+            figure, axes = plt.subplots(2, 7, figsize=(15, 4.4), layout="constrained")
             for column, (key, value) in zip(axes.T, effects.items()):
-                for ax, ccd in zip(column, ({}, value)):
-                    more = (reddish if key == "white_balance" else {}) | {"ccd": ccd}
+                for ax, tables in zip(column, ({}, {key if "camera" in key else "ccd": value})):
+                    more = (reddish if "white" in key else {}) | tables
                     scene = twin.load_scene("kamiyama_pillar", more)
-                    rows = slice(None) if key == "flicker" else slice(195, 285)
-                    columns = slice(None) if key == "flicker" else slice(260, 380)
+                    rows = slice(None) if "flicker" in key else slice(175, 295)
+                    columns = slice(None) if "flicker" in key else slice(260, 380)
                     ax.imshow((twin.Sensor(scene).picture(None)[rows, columns] / 255) ** 0.5)
-                column[0].set_title(f"ccd.{key}")
+                column[0].set_title(key)
             """,
         ),
     ),

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from twin.arrays import Floats, Pixels, Points
+from twin.arrays import Floats, Points
 from twin.parts.part import Angle, Coefficient, Part, Pixel, Place, Share, Size
 
 Power = Annotated[float, Field(ge=0, le=1e3)]
@@ -58,8 +58,8 @@ class Camera(Part):
         Small rotations of the camera about x, y and z, applied in this order.
     layers
         Between base and air, in the order in which a ray leaving the body meets them.
-    dust
-        Specks on the outermost of them; None for a clean window.
+    dust, scratches, bubbles
+        Marks on the outermost of them, three kinds of them at most; None for a clean window.
     """
 
     class Layer(Part):
@@ -71,13 +71,16 @@ class Camera(Part):
             Refractive index.
         thickness_mm
             Thickness along z.
+        abbe_number
+            As that of the rubber: glass has 64, acrylic 57.
         """
 
         index: float = Field(ge=1, le=3)
         thickness_mm: Size
+        abbe_number: float | None = Field(default=None, ge=10, le=200)
 
-    class Dust(Part):
-        """Specks on the outer face of the window, lit by LEDs in air.
+    class Marks(Part):
+        """Specks, scratches or bubbles on the outer face of the window, lit by LEDs in air.
 
         Attributes
         ----------
@@ -85,21 +88,41 @@ class Camera(Part):
             How many lie over the body's extent, and what draws their places: the same for every
             picture and every sensor.
         size_mm
-            Diameter of each. Specks narrower than half a pixel are not seen; through a wide pupil
-            one out of focus is seven fainter ones.
+            Diameter, or width of a scratch. Marks narrower than half a pixel are not seen; through
+            a wide pupil one out of focus is seven fainter ones.
+        length_mm
+            Of straight scratches in all directions; 0: round marks.
+        hollow
+            Share of the width that is clear, in the middle: a bubble's rim is what shows, as its
+            middle lets light pass. In silicone 0.7, from where on rays are reflected totally.
         albedo
             Diffuse reflectance; 0 is black.
         """
 
         count: int = Field(ge=1, le=100_000)
         size_mm: Size = 0.1
+        length_mm: float = Field(default=0.0, ge=0, le=1000)
+        hollow: float = Field(default=0.0, ge=0, le=0.99)
         albedo: Share = 0.3
         seed: int = Field(default=1, ge=0, le=2**63 - 1)
 
-        def places(self, low: Sequence[float], high: Sequence[float]) -> Pixels:
-            """Return (count, 2) places between two corners, mm."""
-            drawn = np.random.default_rng(self.seed).uniform(low[:2], high[:2], (self.count, 2))
-            return np.asarray(drawn)
+        @model_validator(mode="after")
+        def _not_too_many(self) -> Camera.Marks:
+            if self.count * self.length_mm > 1e6 * self.size_mm:
+                raise ValueError(
+                    f"length_mm = {self.length_mm:g}: {self.count} scratches are more than a "
+                    "million times as long as wide in all: take fewer, shorter or wider ones"
+                )
+            return self
+
+        def lines(self, low: Sequence[float], high: Sequence[float]) -> Floats:
+            """Return the (count, 2, 2) ends of their middle lines between two corners, mm; both
+            ends of round ones are their middles."""
+            rng = np.random.default_rng(self.seed)
+            middles = rng.uniform(low[:2], high[:2], (self.count, 2))
+            angle = rng.uniform(0, np.pi, self.count)
+            half = self.length_mm / 2 * np.column_stack([np.cos(angle), np.sin(angle)])
+            return np.stack([middles - half, middles + half], axis=1)
 
     width_px: int = Field(default=640, ge=1, le=8192)
     height_px: int = Field(default=480, ge=1, le=8192)
@@ -114,7 +137,9 @@ class Camera(Part):
     pupil_mm: tuple[Place, Place, Place]
     tilt_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     layers: tuple[Layer, ...] = ()
-    dust: Dust | None = None
+    dust: Marks | None = None
+    scratches: Marks | None = None
+    bubbles: Marks | None = None
 
     @model_validator(mode="after")
     def _distortion_has_a_known_length(self) -> Camera:

@@ -34,7 +34,9 @@ class Material(Part):
         Poisson's ratio and the same in a cover; elastic if empty. It acts in presses whose steps
         have ``seconds``. The shares are less than 1 together.
     refractive_index
-        Of the transparent rubber, for the camera's rays.
+        Of the transparent rubber, for the camera's rays; at 588 nm if there is an `abbe_number`.
+    abbe_number
+        Dispersion, (n_d - 1) / (n_F - n_C): silicone has about 50. None: one index for all light.
     """
 
     class Term(Part):
@@ -57,6 +59,7 @@ class Material(Part):
     law_ratios: tuple[float, ...] = ()
     relaxation: tuple[Term, ...] = Field(default=(), max_length=32)
     refractive_index: float = Field(default=1.41, ge=1, le=3)
+    abbe_number: float | None = Field(default=None, ge=10, le=200)
 
     @field_validator("relaxation")
     @classmethod

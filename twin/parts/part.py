@@ -63,6 +63,11 @@ LATER: tuple[tuple[str, object], ...] = (
     ("auto_gain", 0.0),
     ("white_balance", "off"),
     ("adc_bits", 0),
+    ("abbe_number", None),
+    ("scratches", None),
+    ("bubbles", None),
+    ("length_mm", 0.0),
+    ("hollow", 0.0),
 )
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so
 that files stored under a hash of all keys stay valid."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import ndtr
-from small_scenes import SPLAT, beads, block, changed, mitsuba, rest_of
+from small_scenes import SPLAT, beads, block, changed, measured, mitsuba, rest_of, seen_at
 
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Ccd, Light
@@ -27,6 +27,7 @@ def light_of(scene, variant=SPLAT):
 def test_what_is_off_changes_no_description():
     table = block().model_dump(mode="json")
     assert set(identity(table["light"])) == {"positions_mm", "exponent", "profile", "radius_mm", "ambient"}
+    assert "abbe_number" not in identity(table["material"])
     assert "dust" not in identity(table["camera"])
     assert "gloss" not in identity(table["markers"]["red"])
     new = ("pixels", "row", "column", "haze", "ghost", "smear", "flicker", "auto", "balance", "adc")
@@ -78,7 +79,7 @@ def test_leds_without_a_colour_each_are_refused():
 
 
 def dusty(**keys):
-    return changed(block(), camera={"dust": Camera.Dust(count=4000, size_mm=0.2, **keys)}, light={"ambient": 0.0})
+    return changed(block(), camera={"dust": Camera.Marks(count=4000, size_mm=0.2, **keys)}, light={"ambient": 0.0})
 
 
 def test_black_dust_hides_discs_where_a_pinhole_sees_it():
@@ -86,7 +87,7 @@ def test_black_dust_hides_discs_where_a_pinhole_sees_it():
     per_mm = 1814.8 / 58.85
     scene = dusty(albedo=0.0)
     share = 1 - light_of(scene)[1] / light_of(changed(scene, camera={"dust": None}))[1]
-    specks = scene.camera.dust.places((-50, -45), (50, 45)) * [per_mm, -per_mm] + [59.5, 44.5]
+    specks = scene.camera.dust.lines((-50, -45), (50, 45)).mean(axis=1) * [per_mm, -per_mm] + [59.5, 44.5]
     whole = specks[((specks > 5) & (specks < (114, 84))).all(axis=1)]
     assert len(whole) == 2
     for column, row in whole:
@@ -100,7 +101,9 @@ def test_black_dust_hides_discs_where_a_pinhole_sees_it():
 def test_white_dust_is_as_bright_as_the_leds_light_it():
     scene = dusty(albedo=0.5)
     light = light_of(scene)[1]
-    (x, y), *_ = [p for p in scene.camera.dust.places((-50, -45), (50, 45)) if abs(p[0]) < 1.5 and abs(p[1]) < 1.1]
+    (x, y), *_ = [
+        p for p in scene.camera.dust.lines((-50, -45), (50, 45)).mean(axis=1) if abs(p[0]) < 1.5 and abs(p[1]) < 1.1
+    ]
     per_mm = 1814.8 / 58.85
     way = np.array(scene.light.positions_mm) - [x, y, 50]
     lit = np.sum(way[:, 2] ** 2 / np.sum(way**2, axis=1) ** 2)  # cosine there and here over the square
@@ -110,6 +113,33 @@ def test_white_dust_is_as_bright_as_the_leds_light_it():
     assert_allclose(seen, 0.5 * lit * (1.41 / passed) ** 2, rtol=1e-3)
 
 
+def test_scratches_and_bubbles_cover_stadiums_and_rings():
+    per_mm = 1814.8 / 58.85
+    scratches = Camera.Marks(count=1, size_mm=0.1, length_mm=2.0, albedo=0.0, seed=5)
+    ends = scratches.lines((-50, -45), (50, 45))[0]
+    bubbles = Camera.Marks(count=1, size_mm=0.8, hollow=0.7, albedo=0.0, seed=5)
+    scene = changed(block(), light={"ambient": 0.0})
+    there = (*ends.mean(axis=0), scene.camera.pupil_mm[2])  # the only mark before the camera
+    scene = changed(scene, camera={"pupil_mm": there, "layers": scene.camera.layers})
+    for name, marks, area in (
+        ("scratches", scratches, 2.0 * 0.1 + np.pi * 0.05**2),
+        ("bubbles", bubbles, np.pi * 0.4**2 * (1 - 0.7**2)),
+    ):
+        plain, marked = (light_of(changed(scene, camera={name: each}))[1] for each in (None, marks))
+        clear = 1 - marked[..., 1] / plain[..., 1]
+        assert clear.sum() == pytest.approx(area * per_mm**2, rel=0.03)
+        column, row, mean = spot(clear)
+        assert_allclose((column, row), (59.5, 44.5), atol=0.03)
+        if name == "scratches":
+            rows, columns = np.nonzero(clear > 0.5)
+            axis = np.linalg.eigh(np.cov(columns, rows))[1][:, 1]
+            way = (ends[1] - ends[0]) / 2.0
+            assert abs(axis @ (way * [1, -1])) == pytest.approx(1, abs=1e-3)
+        else:
+            assert mean == pytest.approx(2 / 3 * 0.4 * per_mm * (1 - 0.7**3) / (1 - 0.7**2), rel=0.02)
+            assert clear[43:47, 58:62].max() == 0
+
+
 def test_paths_see_the_same_dust():
     scene = dusty(albedo=0.5)
     path = changed(scene, accuracy={"paths": 16}).model_copy(update={"renderer": "path"})
@@ -117,6 +147,30 @@ def test_paths_see_the_same_dust():
     specks = ours > 0.99 * ours.max()
     assert specks.sum() > 20
     assert_allclose(theirs[specks], ours[specks], rtol=0.01)
+
+
+# An index that depends on the wavelength
+
+
+def test_dispersion_moves_colours_apart_as_snells_law_does():
+    """Cauchy's law through the Abbe number's lines, by hand: red is 600 nm, blue 460."""
+    plain = changed(block().model_copy(update={"cover": None}), light={"ambient": 0.0})
+    layers = tuple(layer.model_copy(update={"abbe_number": 30.0}) for layer in plain.camera.layers)
+    scene = changed(plain, material={"abbe_number": 20.0}, camera={"layers": layers})
+    white = beads([(1.2, 0.8, 6)], colour=(0.9, 0.9, 0.9))
+    light, still = (Renderer(each, white, SPLAT, subpixels=6).radiance(white) for each in (scene, plain))
+    places = []
+    for channel, nm in ((0, 600), (1, 530), (2, 460)):
+        step = (nm**-2 - 587.6**-2) / (486.1**-2 - 656.3**-2)
+        glass = [la.model_copy(update={"index": la.index + (la.index - 1) / 30 * step}) for la in plain.camera.layers]
+        seen = changed(plain, material={"refractive_index": 1.41 + 0.41 / 20 * step}, camera={"layers": tuple(glass)})
+        place = seen_at(white.centres, seen)
+        centroid = measured(light, place, channel, half=12)[0] - measured(still, place, channel, half=12)[0]
+        assert_allclose(centroid, place - seen_at(white.centres, plain), atol=0.004)
+        places.append(place[0])
+    assert np.linalg.norm(places[0] - places[2]) > 0.1
+    with pytest.raises(RecipeError, match="abbe_number: renderer = 'path' takes one index"):
+        Renderer.method(scene.model_copy(update={"renderer": "path"}))
 
 
 # Pixels that fail, and noise of rows and columns

@@ -46,6 +46,9 @@ PUPIL_WEIGHTS = np.concatenate([[0.25], np.full(6, 0.125)])
 """Weights of the pupil's points: a rule exact for polynomials of degree 5 on a disc (Stroud S2
 5-1)."""
 
+_STEPS = 1000
+"""The most parts in which a scratch is looked for."""
+
 _COARSE = 4
 """Pixels between the nodes on which the cover's light is computed."""
 
@@ -109,11 +112,12 @@ class View:
             corners[first : last + 1] = rays_here.reshape(*shape, 4)
             sees[first:last] = _pixelwise(inside.reshape(shape), np.logical_and)
             vignette[first:last] = 0.25 * _pixelwise(passed.reshape(shape), np.add)
-        if camera.dust is not None:
-            share, light = _dust(corners, scene)
-            vignette *= 1 - share
-            glare = 0.0 if veil is None else veil * (1 - share)[:, :, None]
-            veil = (light * share[:, :, None] * _outside(scene, top) + glare).astype(np.float32)
+        for marks in (camera.dust, camera.scratches, camera.bubbles):
+            if marks is not None:
+                share, light = _marked(marks, corners, scene)
+                vignette *= 1 - share
+                glare = 0.0 if veil is None else veil * (1 - share)[:, :, None]
+                veil = (light * share[:, :, None] * _outside(scene, top) + glare).astype(np.float32)
         cover = _cover_picture(scene, top, sees) * (vignette * sees)[:, :, None]
         return View(corners=corners, sees=sees, vignette=vignette, cover=cover, veil=veil)
 
@@ -179,21 +183,35 @@ class View:
         return float(np.quantile((ground @ ccd.response.T).max(axis=2), _EXPOSED))
 
 
-def _dust(corners: Floats, scene: Scene) -> tuple[Floats, Floats]:
-    """Return (height, width) shares that specks cover, and (height, width, k) light that one sends
+def _marked(marks: Camera.Marks, corners: Floats, scene: Scene) -> tuple[Floats, Floats]:
+    """Return (height, width) shares that marks cover, and (height, width, k) light that one sends
     to the camera, k of `Light.tints`; times `_outside`."""
     from scipy.spatial import KDTree
 
     camera, light = scene.imaging
-    assert camera.dust is not None
-    # Where each pixel's ray crosses the outer face, and how far from the nearest speck.
+    # Where each pixel's ray crosses the outer face, and how far from the nearest mark's line.
     ahead = corners[:, :, 2:] * scene.material.refractive_index
     ahead /= np.sqrt(1 + (corners[:, :, 2:] ** 2).sum(axis=2) - (ahead**2).sum(axis=2))[:, :, None]
     gap = air_gap(camera, scene.body.base_z_mm)
     places = camera.pupil_mm[:2] + gap * ahead
-    away, _ = KDTree(camera.dust.places(*scene.body.bounds_mm)).query(places)
-    share = _disc(away, camera.dust.size_mm / 2)
-    # Specks are lit as they lie there, before the window.
+    lines = marks.lines(*scene.body.bounds_mm)
+    steps = min(int(np.ceil(4 * marks.length_mm / marks.size_mm)), _STEPS) + 1
+    along = np.linspace(0, 1, steps)[:, None]
+    parts = lines[:, None, 0] + along * (lines[:, 1] - lines[:, 0])[:, None]
+    # Only what comes near a mark is looked for: three pixels and a scratch's part beyond its edge.
+    near = marks.size_mm + 3 * max(float(np.abs(np.diff(places, axis=n)).max()) for n in (0, 1))
+    tree = KDTree(parts.reshape(-1, 2))
+    away, nearest = tree.query(places, distance_upper_bound=near)
+    away = np.minimum(away, near)
+    if steps > 1:
+        first, last = np.moveaxis(lines[np.minimum(nearest // steps, marks.count - 1)], 2, 0)
+        way = last - first
+        part = np.sum((places - first) * way, axis=2) / marks.length_mm**2
+        away = np.linalg.norm(places - first - np.clip(part, 0, 1)[:, :, None] * way, axis=2)
+    share = _disc(away, marks.size_mm / 2)
+    if marks.hollow > 0:
+        share = share - _disc(away, marks.hollow * marks.size_mm / 2)
+    # Marks are lit as they lie there, before the window.
     seen = share > 0
     points = np.pad(
         places[:-1, :-1][seen], ((0, 0), (0, 1)), constant_values=camera.pupil_mm[2] - gap
@@ -206,7 +224,7 @@ def _dust(corners: Floats, scene: Scene) -> tuple[Floats, Floats]:
     up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
     bright = np.zeros((*share.shape, len(tints)))
     bright[seen] = np.column_stack([lamps.times(tint).irradiance(points, up) for tint in tints])
-    return share, camera.dust.albedo * bright
+    return share, marks.albedo * bright
 
 
 def _glare(scene: Scene, top: float) -> Singles | None:

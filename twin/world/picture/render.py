@@ -5,7 +5,8 @@ them. `PathRenderer` has the whole picture made by Mitsuba's path integrator. Ou
 splat in closed form, whatever draws the picture, and are its truth.
 
 Validity: markers at least a sub-pixel in radius. Defocus is the mean of pictures through points of
-the pupil (`twin.world.picture.camera_rays`); outlines are those through its middle.
+the pupil (`twin.world.picture.camera_rays`); outlines are those through its middle, and of light of
+588 nm where an index depends on the wavelength.
 """
 
 from __future__ import annotations
@@ -60,6 +61,12 @@ Measured for both sensors: 0.0065 and 0.010 px rms."""
 
 _FINEST = 16
 """The largest k."""
+
+_WAVELENGTHS_NM = (600.0, 530.0, 460.0)
+"""Middles of the camera's red, green and blue (assumed)."""
+
+_C_NM, _D_NM, _F_NM = 656.3, 587.6, 486.1
+"""Wavelengths that an Abbe number is defined by."""
 
 _SHADOW_PX = 0.2
 """The most that a shadow moves a centroid."""
@@ -122,8 +129,16 @@ class Renderer:
         self._gain = gain or scene.ccd.white_level / max(white, view.ground_light(scene.ccd))
         self._view = view.times(self._gain)
         self._splat = Splat(self._view, self._unit, scene.light.ambient)
-        pupil = View.pupil_cameras(scene)
-        self._pupils = [self._like(self.variant, camera=camera) for camera in pupil]
+        self._parts: list[tuple[Singles, Renderer]] = []
+        for share, tables in _colours(scene):
+            coloured = scene.model_copy(update=tables)
+            cameras = View.pupil_cameras(coloured)
+            weights = PUPIL_WEIGHTS if cameras else np.ones(1)
+            if tables and not cameras:
+                cameras = [coloured.imaging[0]]
+            for weight, camera in zip(weights, cameras, strict=False):
+                part = self._like(self.variant, **{**tables, "camera": camera})
+                self._parts.append((np.float32(weight) * share, part))
 
     @staticmethod
     def method(scene: Scene) -> Variant:
@@ -137,10 +152,15 @@ class Renderer:
         MissingCapability
             The scene asks for Mitsuba, which doesn't work here.
         RecipeError
-            A glossy skin of a smaller index than the rubber's.
+            A glossy skin of a smaller index than the rubber's, or dispersion by paths.
         """
         asked = scene.renderer
         index = scene.material.refractive_index
+        if asked == "path" and len(_colours(scene)) > 1:
+            raise RecipeError(
+                "abbe_number: renderer = 'path' takes one index for all light; leave it out of "
+                "material and camera.layers, or take another renderer"
+            )
         for name, layer in scene.markers.items():
             if layer.gloss and layer.gloss[0] <= index:
                 raise RecipeError(
@@ -201,21 +221,21 @@ class Renderer:
         ``cover`` has how the places of `background` have moved; None: they are at rest.
         """
         factor = self._cover_factor(cover)
-        if not self._pupils:
+        if not self._parts:
             job = self._job(markers, self.subpixels)
             return self._over_cover(markers, job, *self._shader.shade(job), factor)
         light: Singles = np.zeros_like(self._view.cover)
-        for weight, part in zip(PUPIL_WEIGHTS, self._pupils, strict=True):
+        for weight, part in self._parts:
             job = part._job(markers, self.subpixels)
             one = part._over_cover(markers, job, *part._shader.shade(job), factor)
-            light += np.float32(weight) * one
+            light += weight * one
         return light
 
     def seen(
         self, markers: Ellipsoids, cover: CoverMotion | None = None
     ) -> tuple[Singles, Outlines]:
         """Return `radiance` and `outlines`, in one pass where the splat draws the picture."""
-        if self._pupils or self._shader is not self._splat:
+        if self._parts or self._shader is not self._splat:
             return self.radiance(markers, cover), self.outlines(markers)
         job = self._job(markers, self.subpixels)
         marks, free, outlines = self._splat.look(job)
@@ -288,7 +308,7 @@ class PathRenderer(Renderer):
         importlib.import_module("mitsuba").set_variant(self.variant.name)
         from twin.world.picture.path_tracer import PathTracer
 
-        views = [part._view for part in self._pupils] or [self._view]
+        views = [part._view for _, part in self._parts] or [self._view]
         return PathTracer(self.scene, views, self._top, self.scene.accuracy.paths)
 
     def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
@@ -313,6 +333,45 @@ class PathRenderer(Renderer):
     ) -> tuple[Singles, Outlines]:
         """See `Renderer`."""
         return self.radiance(markers, cover), self.outlines(markers)
+
+
+def _colours(scene: Scene) -> list[tuple[Singles, dict[str, Any]]]:
+    """Return (3,) shares of red, green and blue, and the tables of the scene in their light: one
+    for each colour where an index depends on it, else one of all colours.
+
+    Notes
+    -----
+    Cauchy's law n = a + b / wavelength^2, by the index at 588 nm and the Abbe number.
+    """
+    camera = scene.camera
+    layered = () if camera is None else camera.layers
+    numbers = [scene.material.abbe_number, *(layer.abbe_number for layer in layered)]
+    if camera is None or not any(numbers):
+        return [(np.ones(3, np.float32), {})]
+    red, green, blue = np.eye(3, dtype=np.float32)
+    colours = []
+    for share, wavelength in zip((red, green, blue), _WAVELENGTHS_NM, strict=True):
+        steps = (wavelength**-2 - _D_NM**-2) / (_F_NM**-2 - _C_NM**-2)
+
+        def index(n: float, abbe: float | None, steps: float = steps) -> float:
+            return n if abbe is None else max(n + (n - 1) / abbe * steps, 1.0)
+
+        rubber = scene.material
+        rubber = rubber.model_copy(
+            update={
+                "refractive_index": index(rubber.refractive_index, rubber.abbe_number),
+                "abbe_number": None,
+            }
+        )
+        layers = tuple(
+            layer.model_copy(
+                update={"index": index(layer.index, layer.abbe_number), "abbe_number": None}
+            )
+            for layer in camera.layers
+        )
+        tables = {"material": rubber, "camera": camera.model_copy(update={"layers": layers})}
+        colours.append((share, tables))
+    return colours
 
 
 def _subpixels_for(centroid_px: float | str, method: str) -> int:
