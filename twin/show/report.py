@@ -793,15 +793,32 @@ def _resultants(result: RunResult) -> str:
             note = f'<p class="note">{_TWO_TOTALS}</p>'
     if not totals:
         return ""
-    heads, columns = [], []
-    for head, force, torque in totals:
-        # a torque below a billionth of the force times a millimetre is round-off
-        scale = 1.0 * float(np.abs(force).max())
-        numbers = cleaned(force.tolist()) + cleaned(torque.tolist(), scale)
-        heads.append(head)
-        columns.append([f'<data value="{n!r}">{digits(n)}</data>' for n in numbers])
+    heads = [head for head, *_ in totals]
+    # a torque below a billionth of the force times a millimetre is round-off
+    forces = [cleaned(force.tolist()) for _, force, _ in totals]
+    torques = [
+        cleaned(torque.tolist(), 1.0 * float(np.abs(force).max())) for _, force, torque in totals
+    ]
+    columns = [
+        [*one, *other] for one, other in zip(_aligned(forces), _aligned(torques), strict=True)
+    ]
     names = [f"force along {a}, N" for a in "xyz"] + [f"torque about {a}, N mm" for a in "xyz"]
     return _by_column("Total force, and torque about the origin", heads, names, columns) + note
+
+
+def _aligned(columns: Sequence[Sequence[float]]) -> list[list[str]]:
+    """Return columns of numbers with the decimals that give the largest three digits."""
+    largest = max(abs(n) for column in columns for n in column)
+    decimals = max(0, 2 - math.floor(math.log10(largest))) if largest > 0 else 0
+    return [
+        [
+            f'<data value="{n!r}">{round(n, decimals) + 0.0:.{decimals}f}</data>'.replace(
+                ">-", ">−"
+            )
+            for n in column
+        ]
+        for column in columns
+    ]
 
 
 _TWO_TOTALS = (
@@ -868,13 +885,16 @@ def _pressure(one: Touch) -> str:
     axes = Axes(left=0.0, right=right, bottom=0.0, top=top, height=260)
     content = axes.line(shown, "profile truth") if len(shown) else ""
     content += axes.dots(np.column_stack([distance, one.pressure_mpa]), "profile-dot estimate", 2.0)
-    keys = '<span class="key estimate-line">this press</span>'
+    keys = ""
     if len(shown):
-        keys += f' <span class="key truth-line">{one.expected_name}, same force</span>'
+        keys = (
+            ' <span class="key estimate-line">this press</span>'
+            f' <span class="key truth-line">{one.expected_name}, same force</span>'
+        )
     peak = digits(float(one.pressure_mpa.max()))
     say = f"Pressure of every patch against its distance from the middle, at most {peak} N/mm²"
     svg = axes.drawing(content, "from the contact's middle (mm)", "pressure (N/mm²)", say)
-    return figure(svg, f"Pressure of each patch. {keys}")
+    return figure(svg, f"Pressure of each patch.{keys}")
 
 
 _STYLES = {"red": "red", "blue": "blue"}
