@@ -112,6 +112,11 @@ class ProbeSetup:
         return isinstance(self.probe, Stl | Object)
 
     @property
+    def has_inclined_face(self) -> bool:
+        """Whether its flat face is inclined, so that it touches with its rim or a corner first."""
+        return isinstance(self.probe, Cylinder | Pillar) and any(self.first.tilt_deg[:Z])
+
+    @property
     def name(self) -> str:
         """The probe and where it stands, for messages."""
         return f"{self.probe.kind} at ({', '.join(f'{c:.4g}' for c in self.first.axis_mm)}) mm"

@@ -28,12 +28,12 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Points
+from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import ContactError
 from twin.parts.load import Load, Rectangles
-from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
+from twin.parts.probe import Cone, Pillar, Sphere
 from twin.theory import halfspace
-from twin.world.contact.contact_problem import LoadProgramme
+from twin.world.contact.contact_problem import LoadProgramme, ProbeSetup
 from twin.world.contact.contact_state import ContactState, PressError, Share
 from twin.world.contact.probe_gap import MOTIONS, Z
 
@@ -49,10 +49,12 @@ that grows with their cube, and no part of the press's error is as small as what
 
 _WIDER = 0.4
 _WIDER_FLAT = 0.5
+_WIDER_INCLINED = 0.65
 _NARROWER = 1.5
-"""Error over the change with patches twice, the same under flat faces, or half as wide. Measured at
-12 and 16 patches across against 40, under flat faces with sharp rims: 0.46 on the standard block,
-0.5 on pads 2 mm thick; less under other probes."""
+"""Error over the change with patches twice as wide, the same under flat faces and under inclined
+ones, or half as wide. Measured at 8 to 16 patches across against 40, under flat faces with sharp
+rims: 0.46 on the standard block, 0.5 on pads 2 mm thick, 0.6 of faces inclined by 2 to 4 degrees;
+less under other probes."""
 
 _ORDER = 1.8
 _ALIKE = 1.3
@@ -81,6 +83,20 @@ _EDGE = 0.4
 """Error of the force under sharp edges that patches cut anywhere, over the patches' width in radii
 of a disc of the contact's area. Measured: 0.1 to 0.25 under an annular punch, up to 0.33 under a
 letter whose strokes lie along the grid."""
+
+_OUTWARDS, _STEP, _HALVINGS, _FOLDED = 1.5, 0.1, 8, 3.0
+"""How far beyond a patch's middle an object's edge is looked for, and the step over which its gap
+is taken there, in patches; bisections; and how many times as fast as within a patch the gap grows
+at an edge. Of a smooth border it is less than twice, where two patches resolve it."""
+
+_EDGE_TRACTION, _MORE_TRACTION = 0.7, 1.2
+"""Error of the tractions under sharp edges, over the root of the share of patches at them; and
+under an inclined flat face, or where each patch is at the border, over the change. Measured on a
+half-space at 8 and 12 across against 32 and 40: 0.2 to 0.73, and 0.3 to 1.03."""
+
+_CUT_FREE = 0.1
+"""Error of the force under an object's smooth borders, times patches over those of a square that a
+disc as wide as the contact fills; with the power 1.5 of the border's length over that disc's."""
 
 _CUT_RIM = 0.1
 """The same under a flat face so inclined that it touches with its rim, times the patches across.
@@ -156,7 +172,13 @@ class Estimates:
             factor = self._error_over_change(state, other)
             patches = self._cut(state, step, change.times(factor))
             # Tractions converge with order 1/2 to 1 only.
-            patches = replace(patches, traction=change.traction)
+            tractions = [change.traction]
+            for setup, one in zip(self._job.setups, (state, *state.also), strict=True):
+                if len(one.pressure_mpa) and (setup.is_free_form or setup.has_inclined_face):
+                    tractions.append(_edge_traction_error(setup, one))
+                    if setup.has_inclined_face or _at_border(one).all():
+                        tractions.append(_MORE_TRACTION * change.traction)
+            patches = replace(patches, traction=max(tractions))
         if not self._job.friction.any() and self._job.relaxation is None:
             increments = Share()
         elif other is not None and (fewer := _state_of(self._fewer, step)) is not None:
@@ -210,13 +232,18 @@ class Estimates:
         sharp = 0.0
         if any(free):
             wider = _patch_mm(other) / _patch_mm(state)
-            parts = zip(free, (state, *state.also), strict=True)
-            sharp = max(_sharpness(one) for own, one in parts if own and len(one.pressure_mpa))
+            parts = zip(self._job.setups, (state, *state.also), strict=True)
+            sharp = max(
+                _sharpness(setup, one)
+                for setup, one in parts
+                if setup.is_free_form and len(one.pressure_mpa)
+            )
         ratio = max(wider, 1.0 / wider, _ALIKE)
         if wider < 1.0:
             known = _NARROWER
         elif any(one.face is not None for one in self._job.setups):
-            known = _WIDER_FLAT
+            inclined = any(one.has_inclined_face for one in self._job.setups)
+            known = _WIDER_INCLINED if inclined else _WIDER_FLAT
         else:
             known = _WIDER
         smooth = known * (2.0**_ORDER - 1.0) / (ratio**_ORDER - 1.0)
@@ -284,7 +311,7 @@ class Estimates:
             wide = max(one.contact_radius_mm for one in (state, *state.also)) / height
             error = _CUT * (1.0 + _CUT_THIN * min(1.0, wide) ** 3) / across**2
         for setup in self._job.setups:
-            if isinstance(setup.probe, Cylinder | Pillar) and any(setup.first.tilt_deg[:2]):
+            if setup.has_inclined_face:
                 incline = math.acos(min(1.0, float(setup.first.tilt[2, 2])))
                 tilts = np.sort(np.abs(setup.first.tilt_deg[:2]))
                 corner = isinstance(setup.probe, Pillar) and tilts[0] > _ASKEW * tilts[1]
@@ -295,7 +322,7 @@ class Estimates:
         by_force = self._job.steps[step].by_force[Z::MOTIONS].all()
         cut = Share(indentation=error / _STIFFER) if by_force else Share(force=error, markers=error)
         edges = [
-            _edge_error(one)
+            _edge_error(setup, one)
             for setup, one in zip(self._job.setups, (state, *state.also), strict=True)
             if setup.is_free_form and len(one.pressure_mpa)
         ]
@@ -309,16 +336,19 @@ class Estimates:
     def _stuck_border(self, number: int, state: ContactState, step: int) -> float:
         """Return the error of the force sideways as patches that a smooth probe's border cuts stick
         as a whole, over the force: what their area is too large by."""
-        smooth = isinstance(self._job.setups[number].probe, Sphere | Cone)
+        setup = self._job.setups[number]
+        smooth = isinstance(setup.probe, Sphere | Cone) or setup.is_free_form
         held = self._job.steps[step].by_force[MOTIONS * number :]
         if not smooth or len(state.pressure_mpa) == 0:
             return 0.0
         counted = float(_areas(_joined(Load(state.load.terms[:1]))).sum())
         stuck = float((~state.slip[_at_border(state)]).mean()) if state.friction > 0.0 else 0.0
         # What is held by force sideways is as it should be; what is held by motion is too large.
-        sideways = np.where(held[:Z], 0.0, self._job.setups[number].first.axes[:Z] @ state.force_n)
+        sideways = np.where(held[:Z], 0.0, setup.first.axes[:Z] @ state.force_n)
         excess = _WHOLE * abs(counted / state.area_mm2 - 1.0)
         least = _CUT_STUCK / self._job.setups[0].across
+        if setup.is_free_form:  # its area is counted: patches stick as far as its edges are smooth
+            least = _CUT_STUCK * _patch_share(state) / 2.0 * (1.0 - _ends_sharply(setup, state))
         return stuck * max(excess, least) * _over(sideways, state.force_n)
 
     def _half_space(self, load: Load, points: Points) -> Points:
@@ -469,29 +499,85 @@ def _patch_mm(state: ContactState) -> float:
     return math.sqrt(state.area_mm2 / max(1, len(state.pressure_mpa)))
 
 
-def _edge_error(state: ContactState) -> float:
-    """Return the error of the force as patches cut sharp edges, where pressure doesn't vanish."""
+def _edge_error(setup: ProbeSetup, state: ContactState) -> float:
+    """Return the error of the force as patches cut an object's borders: sharp edges, where pressure
+    doesn't vanish, or smooth ones, which are longer the narrower the contact is."""
+    count = len(state.pressure_mpa)
+    longer = len(_open_sides(state)[0]) * math.sqrt(math.pi / count) / 8.0
+    smooth = _CUT_FREE * max(1.0, longer) ** 1.5 * math.pi / count
+    return float(max(_EDGE * _sharpness(setup, state) * _patch_share(state), smooth))
+
+
+def _edge_traction_error(setup: ProbeSetup, state: ContactState) -> float:
+    """Return the RMS error of tractions over their RMS as patches at sharp edges, where they grow
+    without bound, have one each."""
+    sharp = float(_at_border(state).mean()) * min(1.0, 2.0 * _ends_sharply(setup, state))
+    return _EDGE_TRACTION * math.sqrt(sharp)
+
+
+def _patch_share(state: ContactState) -> float:
+    """Return the patches' side over the radius of a disc of the contact's area."""
     side = 2.0 * _joined(Load(state.load.terms[:1])).half_mm.mean(axis=0).max()
-    return float(_EDGE * _sharpness(state) * side / math.sqrt(state.area_mm2 / math.pi))
+    return float(side / math.sqrt(state.area_mm2 / math.pi))
 
 
-def _sharpness(state: ContactState) -> float:
-    """Return how sharp the edges of a contact are by its pressure there: 0 where that vanishes, 1
-    where it is no less than elsewhere."""
+def _sharpness(setup: ProbeSetup, state: ContactState) -> float:
+    """Return how sharp the edges of a contact are: 0 where pressure vanishes there or the object
+    goes on smoothly, 1 where pressure is no less than elsewhere and the object ends."""
     border = _at_border(state)
     if not border.any():
         return 0.0
-    return min(1.0, float(state.pressure_mpa[border].mean() / state.pressure_mpa.mean()) ** 4)
+    pressed = min(1.0, float(state.pressure_mpa[border].mean() / state.pressure_mpa.mean()) ** 4)
+    return pressed * min(1.0, 2.0 * _ends_sharply(setup, state))
+
+
+def _ends_sharply(setup: ProbeSetup, state: ContactState) -> float:
+    """Return the share of a contact's border at which the object ends or folds: pressures don't
+    show it where a contact is few patches wide."""
+    patch, along, side = _open_sides(state)
+    load = _joined(Load(state.load.terms[:1]))
+    axes = setup.first.axes
+    pose = np.concatenate([axes @ state.move_mm, axes @ np.radians(state.turns_deg)])
+
+    def gap_at(shares: Floats) -> Floats:
+        """Return the gaps at shares of the sides outwards from the middles of patches."""
+        places = load.centre_mm[patch] + (shares * side)[:, None] * along
+        return setup.first.gap(places, load.frames[patch, 2], pose)[0]
+
+    # 1. Where the object's overlap with the body at rest ends, within a patch and a half.
+    low, high = np.zeros(len(patch)), np.full(len(patch), _OUTWARDS)
+    ends = (gap_at(low) < 0.0) & (gap_at(high) > 0.0)
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2.0
+        outside = gap_at(middle) > 0.0
+        low, high = np.where(outside, low, middle), np.where(outside, middle, high)
+    # 2. There the gap grows many times as fast as within.
+    at_end = gap_at(low)
+    inner = at_end - gap_at(low - 1.0)
+    outer = (gap_at(high + _STEP) - at_end) / _STEP
+    sharp = ends & (outer > _FOLDED * np.maximum(inner, 0.0))
+    return float(np.count_nonzero(sharp)) / max(1, len(sharp))
+
+
+def _open_sides(state: ContactState) -> tuple[Ints, Floats, Floats]:
+    """Return for the m sides of patches beyond which none touches: the patch (m,), the direction
+    outwards (m, 3), and the patch's extent along it (m,), mm."""
+    from scipy.spatial import cKDTree
+
+    load = _joined(Load(state.load.terms[:1]))
+    along = np.concatenate([load.frames[:, :2], -load.frames[:, :2]], axis=1)
+    side = 2.0 * np.tile(load.half_mm, (1, 2))
+    beyond = load.centre_mm[:, None] + side[..., None] * along
+    apart = cKDTree(load.centre_mm).query(beyond.reshape(-1, 3))[0].reshape(side.shape)
+    patch, way = np.nonzero(apart > side / 2.0)
+    return patch, along[patch, way], side[patch, way]
 
 
 def _at_border(state: ContactState) -> Bools:
     """Return (k,) whether patches in contact lack one of their four neighbours."""
-    from scipy.spatial import cKDTree
-
-    load = _joined(Load(state.load.terms[:1]))
-    flat = _flattened(load, load) / (2.0 * load.half_mm.mean(axis=0).max())
-    near = cKDTree(flat).query_ball_point(flat, 1.1, return_length=True)
-    return np.asarray(near != 5)
+    border = np.zeros(len(state.pressure_mpa), bool)
+    border[_open_sides(state)[0]] = True
+    return border
 
 
 def _alike(one: ContactState, other: ContactState) -> bool:
