@@ -32,7 +32,7 @@ from twin.sense.transfer import fill_between, from_presses
 from twin.study.calibrate import FOOTPRINT, calibration_press, hertz_radius, optics
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
-from twin.study.sensor import Sensor, on_surface
+from twin.study.sensor import Sensor
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.coated import CoveredCompliance
 from twin.world.elasticity.fem import Layer
@@ -220,7 +220,7 @@ def study(numbers: Any, covered: bool, counts: tuple[int, ...], single: bool = F
     scene = truth.scene
     for count in counts:
         chart = PLACES[count]
-        places = on_surface(scene.body, np.array(chart or [(0.0, 0.0)]), 0.5, "places")
+        places = Rectangles.on_surface(scene.body, np.array(chart or [(0.0, 0.0)]), 0.5, "places")
         radius = [hertz_radius(scene, scene.calibration.press_force_n * float(n)) for n in places.frames[:, 2, 2]]
         twin = FittedDesign(scene, places, np.array(radius))
         for number in numbers:
@@ -275,7 +275,7 @@ def free_matrices(numbers: Any) -> list[dict[str, Any]]:
     truth, out = truth_of(covered=False), []
     scene = truth.scene
     radius = hertz_radius(scene, scene.calibration.press_force_n)
-    places = on_surface(scene.body, np.array(LAWN), FOOTPRINT * radius, "places")
+    places = Rectangles.on_surface(scene.body, np.array(LAWN), FOOTPRINT * radius, "places")
     twin = FittedDesign(scene, places, np.full(len(places), radius))
     for number in numbers:
         presses = measured(truth, number, LAWN)
@@ -307,7 +307,7 @@ def free_matrices(numbers: Any) -> list[dict[str, Any]]:
 
 def squares(scene: Scene) -> Rectangles:
     """Return the squares whose transfer is compared."""
-    return on_surface(scene.body, np.array(BETWEEN + EDGE), 0.625, "squares")
+    return Rectangles.on_surface(scene.body, np.array(BETWEEN + EDGE), 0.625, "squares")
 
 
 def linear(one: Calibration, transfer: Floats) -> Calibration:
@@ -344,7 +344,7 @@ def totals(truth: Truth, number: int, own: Calibration) -> dict[str, float]:
 
 def calibration(scene: Scene, twin: FittedDesign, found: Fit, markers: Floats, grid: Sites) -> Calibration:
     """Return a calibration at any sites."""
-    sites = on_surface(scene.body, grid.chart(), grid.pitch_mm / 2, "sites")
+    sites = Rectangles.on_surface(scene.body, grid.chart(), grid.pitch_mm / 2, "sites")
     compliance, camera = twin.compliance(found.scaled, markers, sites), twin.camera_of(found.scaled)
     return Calibration(
         layer=np.repeat(list(scene.markers), [v.columns * v.rows for v in scene.markers.values()]),

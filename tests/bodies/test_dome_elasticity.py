@@ -16,7 +16,6 @@ from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
-from twin.world.mesh.body_mesh import mesh_key
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality
 from twin.world.mesh.sizing import WORLD, Sizing
@@ -46,7 +45,7 @@ def test_shipped_meshes_pass_the_gates_and_are_the_ones_that_would_be_made(level
     assert not measured.failures()
     assert measured.least_dihedral_deg > 12
     assert abs(measured.volume_error) < 1e-4
-    assert Mesh.load(path)[1]["key"] == mesh_key(DOME, Sizing.of(DOME, level))
+    assert Mesh.load(path)[1]["key"] == Sizing.of(DOME, level).mesh_key(DOME)
 
 
 @pytest.mark.slow

@@ -14,7 +14,6 @@ from twin.parts.load import Traction
 from twin.study.recipe import dump_scene, load_scene, validate_scene
 from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.error_law import error_shares
-from twin.world.mesh.body_mesh import mesh_key
 from twin.world.mesh.sizing import Sizing, WantedEdge
 
 RECIPE = """
@@ -57,10 +56,10 @@ def test_keys_follow_the_content_and_not_the_place(tmp_path):
     one = solid_box(tmp_path, 30, 20, 10)
     moved = one.model_dump() | {"file": str(shutil.copy(one.file, tmp_path / "other" / "moved.stl"))}
     sizing = Sizing.of(one, "coarse")
-    assert mesh_key(one, sizing) == mesh_key(Solid(**moved), sizing)
-    assert mesh_key(one, sizing) != mesh_key(solid_box(tmp_path / "other", 30, 20, 10.1), sizing)
+    assert sizing.mesh_key(one) == sizing.mesh_key(Solid(**moved))
+    assert sizing.mesh_key(one) != sizing.mesh_key(solid_box(tmp_path / "other", 30, 20, 10.1))
     narrow = one.model_dump() | {"sensing": SENSING_BELOW | {"within_deg": 20}}
-    assert mesh_key(one, sizing) != mesh_key(Solid(**narrow), sizing)
+    assert sizing.mesh_key(one) != sizing.mesh_key(Solid(**narrow))
 
 
 @pytest.mark.parametrize(

@@ -1,17 +1,18 @@
 import numpy as np
 import pytest
 
+from twin.parts.load import Rectangles
 from twin.sense.fit_design import Fit
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
-from twin.study.sensor import Sensor, on_surface
+from twin.study.sensor import Sensor
 from twin.theory.optics import project
 
 SCENE = load_scene("sato_press", overrides={"tolerance.distortion": 0.01})
 
 
 def design(places=((0.0, 0.0),)):
-    squares = on_surface(SCENE.body, np.array(places), 0.5, "places")
+    squares = Rectangles.on_surface(SCENE.body, np.array(places), 0.5, "places")
     return FittedDesign(SCENE, squares, np.full(len(places), 0.9))
 
 
@@ -49,7 +50,7 @@ def test_nothing_is_fitted_that_the_tolerances_give_no_room():
     names = design().names
     assert {"youngs_modulus", "depth_red", "pupil_z", "distortion", "footprint"} <= set(names)
     tight = SCENE.model_copy(update={"tolerance": SCENE.tolerance.model_copy(update={"tilt_deg": 0.0})})
-    twin = FittedDesign(tight, on_surface(SCENE.body, np.zeros((1, 2)), 0.5, "places"), np.ones(1))
+    twin = FittedDesign(tight, Rectangles.on_surface(SCENE.body, np.zeros((1, 2)), 0.5, "places"), np.ones(1))
     assert not any(name.startswith("tilt") for name in twin.names)
 
 
@@ -65,7 +66,7 @@ def test_a_cover_of_the_recipe_is_part_of_the_fitted_design():
     """As drawn, markers move as in the nominal body with its cover; without it they would be over 5 % off."""
     stiff = {"cover.youngs_modulus_mpa": 5.0, "tolerance.poisson_ratio": 0.0}
     scene = load_scene("sato_press", overrides=stiff)
-    square = on_surface(scene.body, np.zeros((1, 2)), 0.5, "places")
+    square = Rectangles.on_surface(scene.body, np.zeros((1, 2)), 0.5, "places")
     sensor = Sensor(scene)
     covered = sensor.nominal_compliance.to_points(sensor.nominal_markers.points, square)
     for cover, apart in ((sensor.nominal_compliance, 1e-6), (None, None)):
@@ -83,9 +84,9 @@ def test_five_presses_beat_the_drawing():
 
     scene = bench()
     truth = Truth(scene, sensors(scene, 2), covered=False)
-    places = on_surface(scene.body, np.array(PLACES[5]), 0.5, "places")
+    places = Rectangles.on_surface(scene.body, np.array(PLACES[5]), 0.5, "places")
     twin = FittedDesign(scene, places, np.full(5, 0.9))
-    squares = on_surface(scene.body, np.array(BETWEEN), 0.625, "squares")
+    squares = Rectangles.on_surface(scene.body, np.array(BETWEEN), 0.625, "squares")
     for number in range(2):
         presses = measured(truth, number, PLACES[5])
         off = []

@@ -8,11 +8,12 @@ import pytest
 from PIL import Image
 
 from benchmarks.budget import own_transfer
+from twin.parts.load import Rectangles
 from twin.sense.calibration import read_calibration
 from twin.study import calibrate
 from twin.study.calibrate import calibrate_by_presses, calibration_of
 from twin.study.recipe import load_scene
-from twin.study.sensor import Sensor, on_surface
+from twin.study.sensor import Sensor
 
 
 def transfer_error(sensor, calibration):
@@ -40,7 +41,7 @@ def test_a_folder_of_photographed_presses_is_fitted(tmp_path):
     told = {"seed": 12, "calibration.presses": None, "calibration.file": None, "calibration.method": "fitted"}
     scene = load_scene("kamiyama_pillar", told)
     sensor = Sensor(scene)
-    places = on_surface(scene.body, np.array([(4.0, 3.0), (-5.0, -2.0)]), 0.5, "places")
+    places = Rectangles.on_surface(scene.body, np.array([(4.0, 3.0), (-5.0, -2.0)]), 0.5, "places")
     Image.fromarray(sensor.picture(None, exposure=50)).save(tmp_path / "rest.png")
     rows = [["frame", "x_mm", "y_mm", "z_mm", "fx_n", "fy_n", "fz_n"]]
     random = np.random.default_rng(0)

@@ -6,10 +6,11 @@ from PIL import Image
 
 from benchmarks.discs import expose, scene
 from twin.errors import InputError
+from twin.parts.load import Rectangles
 from twin.sense.calibration import read_calibration
 from twin.study.calibrate import calibrate_to_file, calibration_of
 from twin.study.recipe import load_scene
-from twin.study.sensor import Sensor, on_surface
+from twin.study.sensor import Sensor
 
 HEAD = "frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\n"
 
@@ -91,7 +92,7 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
     sites["material.relaxation"] = [{"share": 0.1, "time_s": 0.3}]
     wanted = load_scene("kamiyama_pillar", {"calibration.method": "sato", "calibration.press_force_n": 3.0, **sites})
     sensor = Sensor(wanted)
-    places = on_surface(wanted.body, wanted.reconstruction.sites.chart(), 1.0, "places")
+    places = Rectangles.on_surface(wanted.body, wanted.reconstruction.sites.chart(), 1.0, "places")
     by_design = load_scene("kamiyama_pillar", {"calibration.method": "compliance", **sites})
     transfer = calibration_of(Sensor(by_design)).transfer / stiffer
     layout, lines = sensor.layout_px, [HEAD.strip()]

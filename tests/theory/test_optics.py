@@ -10,16 +10,7 @@ from standard_bodies import REFERENCE, assert_near
 from twin.errors import RecipeError
 from twin.parts.camera import Camera
 from twin.theory.lens import lens, lens_inverse, lens_jacobian
-from twin.theory.optics import (
-    Sight,
-    air_tangents,
-    project,
-    project_with_jacobian,
-    rays,
-    sideways,
-    tilt_matrix,
-    transmission,
-)
+from twin.theory.optics import Sight, air_tangents, project, project_with_jacobian, rays, sideways, transmission
 
 GLASS = Camera.Layer(index=1.49, thickness_mm=10)
 FLAT = Camera(focal_px=1814.8, pupil_mm=(0, 0, 108.85), layers=(GLASS,))
@@ -112,17 +103,17 @@ def test_snells_law_holds_between_body_and_air():
 def test_a_tilt_turns_the_camera_about_its_axis(axis):
     tilt = [0.0, 0.0, 0.0]
     tilt[axis] = 90.0
-    turn = tilt_matrix(FLAT.model_copy(update={"tilt_deg": tuple(tilt)}))
+    turn = FLAT.model_copy(update={"tilt_deg": tuple(tilt)}).tilt_matrix()
     assert_allclose(turn[:, (axis + 1) % 3], np.eye(3)[(axis + 2) % 3], atol=1e-12)
 
 
 def test_tilts_are_applied_about_x_then_y_then_z():
     def alone(axis, angle):
         tilt = tuple(angle if i == axis else 0.0 for i in range(3))
-        return tilt_matrix(FLAT.model_copy(update={"tilt_deg": tilt}))
+        return FLAT.model_copy(update={"tilt_deg": tilt}).tilt_matrix()
 
     assert_allclose(
-        tilt_matrix(FLAT.model_copy(update={"tilt_deg": (3.0, 5.0, 7.0)})), alone(2, 7) @ alone(1, 5) @ alone(0, 3)
+        FLAT.model_copy(update={"tilt_deg": (3.0, 5.0, 7.0)}).tilt_matrix(), alone(2, 7) @ alone(1, 5) @ alone(0, 3)
     )
 
 

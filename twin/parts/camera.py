@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
@@ -10,7 +11,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from twin.arrays import Floats, Points
+from twin.arrays import Floats, Points, frozen
+from twin.errors import RecipeError
 from twin.parts.part import Angle, Coefficient, Part, Pixel, Place, Share, Size
 
 Power = Annotated[float, Field(ge=0, le=1e3)]
@@ -175,6 +177,28 @@ class Camera(Part):
             "distortion": (k1 + distortion, k2, *others),
         }
         return self.model_copy(update=changes)
+
+    def tilt_matrix(self) -> Floats:
+        """Return the (3, 3) rotation from camera to body axes: turns about x, y and z, applied
+        in this order."""
+        return _tilted(tuple(self.tilt_deg))
+
+    def air_gap_mm(self, base_z_mm: float) -> float:
+        """Return the way from the last layer to the entrance pupil, mm.
+
+        Raises
+        ------
+        RecipeError
+            The pupil lies in front of the last layer.
+        """
+        back = base_z_mm + sum(layer.thickness_mm for layer in self.layers)
+        gap = self.pupil_mm[2] - back
+        if gap < -1e-9:
+            raise RecipeError(
+                f"camera.pupil_mm: z = {self.pupil_mm[2]:.6g} mm must be at least {back:.6g} mm, "
+                "behind the base and the layers: move the pupil back or thin the layers"
+            )
+        return max(gap, 0.0)
 
 
 class Light(Part):
@@ -551,3 +575,16 @@ class Ccd(Part):
         full = self.spelt_out()
         share = max(self.white_dn - full.black_dn, 1.0) / (255 - full.black_dn)
         return float(share**full.gamma) * self.exposure
+
+
+@lru_cache(maxsize=64)
+def _tilted(tilt_deg: tuple[float, float, float]) -> Floats:
+    turn = np.eye(3)
+    for axis, angle in enumerate(np.deg2rad(tilt_deg)):
+        cosine, sine = np.cos(angle), np.sin(angle)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        step = np.eye(3)
+        step[i, i] = step[j, j] = cosine
+        step[i, j], step[j, i] = -sine, sine
+        turn = step @ turn
+    return frozen(turn)

@@ -10,14 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 from pydantic import model_validator
 
-from twin.arrays import Floats, Points, frozen
-from twin.errors import InputError, require
+from twin.arrays import Chart, Floats, Points, frozen
+from twin.errors import InputError, RecipeError, require
 from twin.parts.part import Force, Part, Place, Size
+
+if TYPE_CHECKING:
+    from twin.parts.shape import Body
 
 Vector = tuple[float, float, float]
 
@@ -82,6 +85,27 @@ class Rectangles:
     def total_torque_nmm(self) -> Floats:
         """(3,) resultant torque about the origin, N mm."""
         return np.asarray(np.cross(self.centre_mm, self.force_n).sum(axis=0))
+
+    @staticmethod
+    def on_surface(body: Body, chart: Chart, half_mm: float, key: str) -> Rectangles:
+        """Return squares of a half side at (k, 2) surface coordinates, under no force.
+
+        Raises
+        ------
+        RecipeError
+            A place lies outside the sensing surface; the message begins with ``key``.
+        """
+        points = body.chart_points(chart)
+        if not body.contains(points, -1e-6).all():
+            raise RecipeError(
+                f"{key}: some lie outside the sensing surface; reduce columns, rows or pitch_mm"
+            )
+        return Rectangles(
+            centre_mm=points,
+            frames=body.frames(points),
+            half_mm=np.full((len(points), 2), half_mm),
+            force_n=np.zeros((len(points), 3)),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -245,3 +245,8 @@ class StlFile(Part):
         if isinstance(value, list | tuple):
             return [StlFile.renamed(inner, changed) for inner in value]
         return value
+
+    @staticmethod
+    def bare(value: Any) -> Any:
+        """Return a plain value with the files of probes by their names alone, wherever they lie."""
+        return StlFile.renamed(value, lambda file: Path(file).name)

@@ -27,12 +27,13 @@ from twin.errors import ContactError, InputError, RecipeError
 from twin.files import cache_folder, kept_if_possible, make_folder
 from twin.parts.body import Block, Body
 from twin.parts.camera import Camera
+from twin.parts.load import Rectangles
 from twin.parts.part import identity
 from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
 from twin.streams import Purpose, stream
 from twin.study.recorded import PICTURES, read_numbers, read_picture
-from twin.study.sensor import Sensor, on_surface
+from twin.study.sensor import Sensor
 from twin.theory.contact import hertz
 from twin.theory.optics import project_with_jacobian
 
@@ -275,7 +276,7 @@ def calibrate_by_presses(sensor: Sensor) -> Calibration:
         grid = sites
     half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
     chart = grid.chart() if grid is not None else np.array(FIVE) * np.array(sites.half_mm)
-    places = on_surface(scene.body, chart, half_mm, "calibration.presses")
+    places = Rectangles.on_surface(scene.body, chart, half_mm, "calibration.presses")
     presses = _press_everywhere(sensor, places)
     if scene.calibration.method == "fitted":
         return _fitted_calibration(sensor, places, presses)
@@ -569,7 +570,7 @@ def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibrat
     if scene.calibration.method == "fitted":
         rounded = np.rint(charts / SAME_PLACE_MM).astype(np.int64)
         _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-        places = on_surface(scene.body, charts[first], half_mm, TABLE)
+        places = Rectangles.on_surface(scene.body, charts[first], half_mm, TABLE)
         presses = replace(presses, place=which.ravel().astype(np.int64))
         return _fitted_calibration(sensor, places, presses)
     # Sato's way: three presses at every place of a grid, in any order.
@@ -594,5 +595,5 @@ def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibrat
     order = np.argsort(nearest, kind="stable")
     force, shift = presses.force_n[order], presses.shift_px[order]
     presses = replace(presses, place=nearest[order], force_n=force, shift_px=shift)
-    places = on_surface(scene.body, wanted, half_mm, TABLE)
+    places = Rectangles.on_surface(scene.body, wanted, half_mm, TABLE)
     return _measured_calibration(sensor, places, grid, presses)

@@ -18,7 +18,6 @@ import numpy as np
 from twin.arrays import Chart, Floats, Picture, Pixels, Points, Progress, Singles, frozen
 from twin.blas_threads import one_blas_thread
 from twin.errors import AccuracyWarning, ContactError, InputError, RecipeError, require
-from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
 from twin.parts.markers import MarkerSet, Prints, place
 from twin.parts.press import MOST_PATCHES, Press
@@ -166,27 +165,6 @@ def _prints(nominal: Scene, count: int) -> Prints | None:
     )
     missing = rng.random(count) < tolerance.missing
     return Prints(size=frozen(size), shade=frozen(shade), missing=frozen(missing))
-
-
-def on_surface(body: Body, chart: Chart, half_mm: float, key: str) -> Rectangles:
-    """Return squares of a half side at (k, 2) surface coordinates, under no force.
-
-    Raises
-    ------
-    RecipeError
-        A place lies outside the sensing surface; the message begins with ``key``.
-    """
-    points = body.chart_points(chart)
-    if not body.contains(points, -1e-6).all():
-        raise RecipeError(
-            f"{key}: some lie outside the sensing surface; reduce columns, rows or pitch_mm"
-        )
-    return Rectangles(
-        centre_mm=points,
-        frames=body.frames(points),
-        half_mm=np.full((len(points), 2), half_mm),
-        force_n=np.zeros((len(points), 3)),
-    )
 
 
 class Sensor:
@@ -746,7 +724,7 @@ class Sensor:
         if self.nominal.reconstruction is None:
             raise RecipeError("this scene has no [reconstruction] table, so there are no sites")
         grid = self.nominal.reconstruction.sites
-        return on_surface(
+        return Rectangles.on_surface(
             self.nominal.body, grid.chart(), grid.pitch_mm / 2, "reconstruction.sites"
         )
 

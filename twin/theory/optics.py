@@ -17,15 +17,13 @@ Rays are traced one at a time by compiled code: whole-array steps cost more than
 from __future__ import annotations
 
 from enum import IntEnum
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Pixels, Points, frozen
+from twin.arrays import Floats, Ints, Pixels, Points
 from twin.compiled import njit
-from twin.errors import RecipeError
 from twin.parts.camera import Camera
 from twin.theory.lens import lens, lens_inverse, lens_jacobian, stretches
 
@@ -106,7 +104,7 @@ def project(points: Points, camera: Camera, body_index: float, base_z_mm: float)
         The pupil lies in front of the layers.
     """
     towards, _, _ = _leave(points, camera, body_index, base_z_mm)
-    return lens(towards @ tilt_matrix(camera), camera)
+    return lens(towards @ camera.tilt_matrix(), camera)
 
 
 def project_with_jacobian(
@@ -121,7 +119,7 @@ def project_with_jacobian(
     """
     towards, p, aside = _leave(points, camera, body_index, base_z_mm)
     slope = _leaving_slopes(points, p, aside, camera, body_index, base_z_mm)
-    turn = tilt_matrix(camera)
+    turn = camera.tilt_matrix()
     seen = towards @ turn
     turned = (lens_jacobian(seen, camera).reshape(-1, 3) @ turn.T).reshape(-1, 2, 3)
     jacobian: Floats = turned[:, :, :2] @ slope
@@ -149,11 +147,11 @@ def rays(
         (n, 3) unit vectors from there into the body (z < 0). Both are NaN where no ray reaches the
         pixel: outside the lens, or away from the layers.
     """
-    into = lens_inverse(pixels, camera) @ tilt_matrix(camera).T
+    into = lens_inverse(pixels, camera) @ camera.tilt_matrix().T
     down = np.where(into[:, 2] < -1e-12, -into[:, 2], np.nan)
     tangent = into[:, :2] / down[:, None]
     p = np.linalg.norm(tangent, axis=1)
-    air = air_gap(camera, base_z_mm)
+    air = camera.air_gap_mm(base_z_mm)
     reach, _ = sideways(p, np.zeros(len(p)), body_index, camera.layers, air)
     # reach / p tends to the slope at p = 0; the tiny number only keeps the division quiet there.
     safe = np.maximum(p, 1e-300)
@@ -187,7 +185,7 @@ class Sight(IntEnum):
         """Return (n,) `Sight`: why `project` has no place for points; parameters as there."""
         points = np.asarray(points, float)
         towards, _, _ = _leave(points, camera, body_index, base_z_mm)
-        found = np.isfinite(lens(towards @ tilt_matrix(camera), camera)).all(axis=1)
+        found = np.isfinite(lens(towards @ camera.tilt_matrix(), camera)).all(axis=1)
         tests = [
             ~np.isfinite(points).all(axis=1),
             points[:, 2] > base_z_mm + 1e-9,
@@ -199,24 +197,6 @@ class Sight(IntEnum):
             [Sight.LOST, Sight.BEHIND_BASE, Sight.TOTAL_REFLECTION, Sight.OUTSIDE_LENS],
             Sight.SEEN,
         )
-
-
-def air_gap(camera: Camera, base_z_mm: float) -> float:
-    """Return the way from the last layer to the entrance pupil, mm.
-
-    Raises
-    ------
-    RecipeError
-        The pupil lies in front of the last layer.
-    """
-    back = base_z_mm + sum(layer.thickness_mm for layer in camera.layers)
-    gap = camera.pupil_mm[2] - back
-    if gap < -1e-9:
-        raise RecipeError(
-            f"camera.pupil_mm: z = {camera.pupil_mm[2]:.6g} mm must be at least {back:.6g} mm, "
-            "behind the base and the layers: move the pupil back or thin the layers"
-        )
-    return max(gap, 0.0)
 
 
 def sideways(
@@ -321,25 +301,6 @@ def reflection(p: Any, one: float, two: float) -> Any:
     return (across + along) / 2
 
 
-def tilt_matrix(camera: Camera) -> Floats:
-    """Return the (3, 3) rotation from camera to body axes: turns about x, y and z, applied in this
-    order."""
-    return _tilted(tuple(camera.tilt_deg))
-
-
-@lru_cache(maxsize=64)
-def _tilted(tilt_deg: tuple[float, float, float]) -> Floats:
-    turn = np.eye(3)
-    for axis, angle in enumerate(np.deg2rad(tilt_deg)):
-        cosine, sine = np.cos(angle), np.sin(angle)
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        step = np.eye(3)
-        step[i, i] = step[j, j] = cosine
-        step[i, j], step[j, i] = -sine, sine
-        turn = step @ turn
-    return frozen(turn)
-
-
 def _leave(
     points: Points, camera: Camera, body_index: float, base_z_mm: float
 ) -> tuple[Points, Floats, Floats]:
@@ -349,7 +310,7 @@ def _leave(
     aside = points[:, :2] - np.asarray(camera.pupil_mm[:2])
     reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)
     p = air_tangents(
-        reach, base_z_mm - points[:, 2], body_index, camera.layers, air_gap(camera, base_z_mm)
+        reach, base_z_mm - points[:, 2], body_index, camera.layers, camera.air_gap_mm(base_z_mm)
     )
     towards = np.empty((len(points), 3))
     towards[:, :2] = (p / np.maximum(reach, 1e-300))[:, None] * aside
@@ -362,7 +323,7 @@ def _leaving_slopes(
 ) -> Floats:
     """Return (n, 2, 3) derivatives of the p e that `_leave` returns."""
     depth = np.maximum(base_z_mm - np.asarray(points, float)[:, 2], 0.0)
-    _, slope = sideways(p, depth, body_index, camera.layers, air_gap(camera, base_z_mm))
+    _, slope = sideways(p, depth, body_index, camera.layers, camera.air_gap_mm(base_z_mm))
     reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)
     near = reach <= 1e-12
     unit = aside / np.where(near, 1.0, reach)[:, None]

@@ -10,7 +10,7 @@ from twin.parts.material import Material
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.fem import TaylorHood
-from twin.world.mesh.body_mesh import body_mesh, mesh_key
+from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.sizing import Sizing, WantedEdge
 
 FREE = FINGER
@@ -25,7 +25,7 @@ def mesh():
 def test_only_a_held_back_asks_for_another_mesh():
     sizing = Sizing.of(FREE, "nominal")
     told = {**FREE.model_dump(), "back": "free"}
-    assert mesh_key(Finger(**told), sizing) == mesh_key(FREE, sizing) != mesh_key(HELD, sizing)
+    assert sizing.mesh_key(Finger(**told)) == sizing.mesh_key(FREE) != sizing.mesh_key(HELD)
 
 
 def test_rim_runs_around_a_held_back():

@@ -14,7 +14,7 @@ from twin.errors import InputError, MeshError, TwinError
 from twin.files import MESHES
 from twin.parts.body import Block, Finger, Solid
 from twin.world.mesh import body_mesh as making
-from twin.world.mesh.body_mesh import body_mesh, build_mesh, mesh_key
+from twin.world.mesh.body_mesh import body_mesh, build_mesh
 from twin.world.mesh.elements import TET_EDGES
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality, dihedral_angles, offsets
@@ -92,18 +92,18 @@ def test_truth_and_nominal_never_share_a_mesh(body):
 def test_shipped_files_say_how_they_were_made(shipped, path):
     mesh, body, level = shipped
     stored = Mesh.load(path)[1]
-    assert stored["key"] == mesh_key(body, Sizing.of(body, level))
+    assert stored["key"] == Sizing.of(body, level).mesh_key(body)
     assert stored["digest"] == mesh.digest()
     assert stored["quality"]["unknowns"] == mesh.unknowns
 
 
 def test_the_key_follows_geometry_and_sizing_but_not_the_recipe_s_sources():
     sizing = Sizing.of(BLOCK, "standard")
-    key = mesh_key(BLOCK, sizing)
-    assert key == mesh_key(BLOCK.model_copy(update={"source": "somewhere"}), sizing)
-    assert key != mesh_key(BLOCK.model_copy(update={"thickness_mm": 40.001}), sizing)
-    assert key != mesh_key(BLOCK, replace(sizing, growth=0.45))
-    assert key != mesh_key(BLOCK, Sizing.of(BLOCK, "nominal"))
+    key = sizing.mesh_key(BLOCK)
+    assert key == sizing.mesh_key(BLOCK.model_copy(update={"source": "somewhere"}))
+    assert key != sizing.mesh_key(BLOCK.model_copy(update={"thickness_mm": 40.001}))
+    assert key != replace(sizing, growth=0.45).mesh_key(BLOCK)
+    assert key != Sizing.of(BLOCK, "nominal").mesh_key(BLOCK)
 
 
 def test_snapping_undoes_a_disturbed_surface():
@@ -302,7 +302,7 @@ def small_solid(tmp_path):
 
 def test_the_first_good_try_is_taken_and_bad_ones_are_told(monkeypatch, small_solid):
     tries, lines = iter([0.9, 0.1]), []
-    monkeypatch.setattr(making, "tetrahedralise", lambda *_, **__: block_boxes(SMALL, (3, 3, 3)))
+    monkeypatch.setattr(making.Request, "solve", lambda *_, **__: block_boxes(SMALL, (3, 3, 3)))
     monkeypatch.setattr(making, "remeshed", lambda *_: block_boxes(SMALL, (3, 3, 3), next(tries)))
     sizing = replace(Sizing.of(small_solid, "standard"), unknowns=small_mesh().unknowns)
     mesh, measured = build_mesh(small_solid, sizing, progress=lambda line, share: lines.append(line))
@@ -313,8 +313,8 @@ def test_the_first_good_try_is_taken_and_bad_ones_are_told(monkeypatch, small_so
 
 
 def test_a_build_gives_up_with_the_reason_when_no_try_is_good(monkeypatch, small_solid):
-    for step in ("tetrahedralise", "remeshed"):
-        monkeypatch.setattr(making, step, lambda *_, **__: block_boxes(SMALL, (3, 3, 3)))
+    for place, step in ((making.Request, "solve"), (making, "remeshed")):
+        monkeypatch.setattr(place, step, lambda *_, **__: block_boxes(SMALL, (3, 3, 3)))
     sizing = replace(Sizing.of(small_solid, "standard"), unknowns=1_000_000)
     with pytest.raises(MeshError, match=r"none of 30 meshes of the solid.*wanted: 1000000"):
         build_mesh(small_solid, sizing)

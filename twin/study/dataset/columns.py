@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.part import unit_of
 from twin.parts.scene import Sites
-from twin.parts.shape import StlFile
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -147,11 +145,6 @@ SENSOR = _columns(
     ("site_mm", "vectors", "sites", "sites of site_force_n"),
     ("picture", "png", "picture", "CCD picture at rest"),
 )
-
-
-def bare(value: Any) -> Any:
-    """Return a plain value with the files of probes by their names alone, wherever they lie."""
-    return StlFile.renamed(value, lambda file: Path(file).name)
 
 
 def in_cells(

@@ -20,8 +20,9 @@ from twin.arrays import Progress
 from twin.errors import InputError, MissingCapability, TwinError
 from twin.files import make_folder, write_json, write_whole
 from twin.parts.material import Material
+from twin.parts.shape import StlFile
 from twin.study.dataset.audit import FIGURES
-from twin.study.dataset.columns import Column, bare
+from twin.study.dataset.columns import Column
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.reader import DatasetReader
 
@@ -316,7 +317,9 @@ def _rows(columns: tuple[Column, ...]) -> str:
 
 
 def _in_words(axis: Any) -> str:
-    plain = bare(axis.model_dump(mode="json", exclude={"source", "assumed"}, exclude_defaults=True))
+    plain = StlFile.bare(
+        axis.model_dump(mode="json", exclude={"source", "assumed"}, exclude_defaults=True)
+    )
     return ", ".join(f"{key} {json.dumps(value)}" for key, value in plain.items())
 
 

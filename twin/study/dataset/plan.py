@@ -21,11 +21,12 @@ from twin.parts.load import Footprint, Load
 from twin.parts.part import Part, in_words
 from twin.parts.press import Press
 from twin.parts.scene import Scene
+from twin.parts.shape import StlFile
 from twin.parts.vary import Choice, Distribution, Follows, ForceCone, Normal, Uniform
 from twin.streams import Purpose, stream
 from twin.study.batch.draw import Sampling, Table, plain_table, put, with_values
 from twin.study.batch.pool import Job
-from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR, Column, Kind, Need, bare
+from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR, Column, Kind, Need
 
 FORMAT = 1
 """Version of the folder's layout and of the columns' meaning."""
@@ -182,7 +183,7 @@ class Plan:
         for key, value in values.items():
             kind = _kind(axes[key])
             if kind == "text":
-                row[_name(key)] = json.dumps(bare(value), sort_keys=True)
+                row[_name(key)] = json.dumps(StlFile.bare(value), sort_keys=True)
             else:
                 row[_name(key)] = np.array(value, float) if kind == "numbers" else float(value)
         return row

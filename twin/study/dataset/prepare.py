@@ -62,7 +62,7 @@ def _pin_meshes(meta: Path, progress: Progress | None) -> None:
     from twin.study.sensor import Sensor
     from twin.world.elasticity.block_table import Table
     from twin.world.elasticity.compliance import Compliance
-    from twin.world.mesh.body_mesh import body_mesh, mesh_file, mesh_key, shipped_mesh
+    from twin.world.mesh.body_mesh import body_mesh, mesh_file, shipped_mesh
     from twin.world.mesh.sizing import WORLD, Sizing
 
     there = load_scene(meta / "scene.toml")
@@ -75,7 +75,7 @@ def _pin_meshes(meta: Path, progress: Progress | None) -> None:
         levels |= {*WORLD[-2:]}  # for the audit: the finest, and the one for its error
     for each in sorted(levels, key=WORLD.index):
         mesh = body_mesh(body, each, progress=progress)
-        key = mesh_key(body, Sizing.of(body, each))
+        key = Sizing.of(body, each).mesh_key(body)
         mesh.write(meta / mesh_file(key), {"key": key, "level": each, "body": body.geometry()})
     if isinstance(body, Block):
         for role in ("truth", "check"):

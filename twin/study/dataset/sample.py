@@ -29,17 +29,18 @@ from twin.arrays import Bools, Floats, Picture
 from twin.errors import ContactError, RecipeError, TwinError
 from twin.files import cache_folder, pin, pinned, png_bytes
 from twin.parts.body import Body
-from twin.parts.load import Load
+from twin.parts.load import Load, Rectangles
 from twin.parts.part import Part
 from twin.parts.scene import Scene, Sites
+from twin.parts.shape import StlFile
 from twin.streams import Purpose
 from twin.study.batch.draw import Table, with_values
 from twin.study.batch.pool import Pool
-from twin.study.dataset.columns import Column, bare, in_cells
+from twin.study.dataset.columns import Column, in_cells
 from twin.study.dataset.plan import MOST_STEPS, Plan
 from twin.study.film import Exposures, at_frames
 from twin.study.recipe import load_scene
-from twin.study.sensor import Motion, Sensor, on_surface
+from twin.study.sensor import Motion, Sensor
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -119,7 +120,7 @@ class _MadeSensor:
         if "sites" in needs:
             body = sensor.nominal.body
             half_mm = self.grid.pitch_mm / 2
-            cells = on_surface(body, self.grid.chart(), half_mm, "dataset.sites")
+            cells = Rectangles.on_surface(body, self.grid.chart(), half_mm, "dataset.sites")
             row["site_mm"] = cells.centre_mm
         return row
 
@@ -170,7 +171,7 @@ def _rows_of_sample(made: _MadeSensor, sample: int, values: Table) -> list[_Row]
     base |= plan.drawn_values(plan.press_axes, values)
     try:
         table = plan.press_table(values)
-        base["press"] = json.dumps(bare(table), sort_keys=True)
+        base["press"] = json.dumps(StlFile.bare(table), sort_keys=True)
         made.compliance.forget()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the row's error estimates hold the same
@@ -567,7 +568,7 @@ def _finer(made: _MadeSensor) -> _MadeSensor:
 def _finest_mesh_file(body: Body) -> str:
     """Return the name of the file of the body's finest mesh, which is there for bodies that ship
     with one."""
-    from twin.world.mesh.body_mesh import mesh_file, mesh_key
+    from twin.world.mesh.body_mesh import mesh_file
     from twin.world.mesh.sizing import WORLD, Sizing
 
-    return mesh_file(mesh_key(body, Sizing.of(body, WORLD[-1])))
+    return mesh_file(Sizing.of(body, WORLD[-1]).mesh_key(body))

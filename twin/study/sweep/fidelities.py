@@ -48,7 +48,7 @@ from twin.sense.regularisation import RULES, Spectrum
 from twin.streams import Purpose, stream
 from twin.study.calibrate import half_space_compliance, nominal_calibration
 from twin.study.doubts import View, shift_sd
-from twin.study.sensor import Motion, Sensor, on_surface
+from twin.study.sensor import Motion, Sensor
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.loads import PAIRS, Bodies, Pushes
 from twin.theory.limit import Limit
@@ -198,7 +198,9 @@ def linear(
     # The markers that the software can use, and their noise.
     assert scene.reconstruction is not None
     grid = scene.reconstruction.sites
-    sites = on_surface(scene.body, grid.chart(), grid.pitch_mm / 2, "reconstruction.sites")
+    sites = Rectangles.on_surface(
+        scene.body, grid.chart(), grid.pitch_mm / 2, "reconstruction.sites"
+    )
     _require_cover(scene, pushes)
     expected = _noise_of(scene, view, sweep)
     used = view.usable & (expected > 0) & np.isfinite(expected)

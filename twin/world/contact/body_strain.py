@@ -36,7 +36,7 @@ from twin.parts.material import Material
 from twin.parts.press import Press
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
 from twin.world.contact.contact_state import ContactState, Share
-from twin.world.contact.mixed_rubber import check_reach, with_edge
+from twin.world.contact.mixed_rubber import check_reach
 from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, TURN, Approach, Z, half_extent
 from twin.world.contact.round_slab import FiniteStrain, Solutions
 from twin.world.contact.whole_body import (
@@ -369,7 +369,7 @@ def _rounded(approach: Approach) -> Approach:
     probe = approach.probe
     if not isinstance(probe, Cylinder | Pillar):
         return approach
-    return with_edge(approach, max(probe.edge_mm, _LEAST_RIM * min(half_extent(probe))))
+    return approach.with_edge(max(probe.edge_mm, _LEAST_RIM * min(half_extent(probe))))
 
 
 def _from_rim(points: Points, approach: Approach) -> Floats:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -17,7 +16,6 @@ import numpy as np
 from twin.arrays import Floats, Ints
 from twin.errors import ContactError, NotSettled, SolveError
 from twin.parts.material import Material, shear_modulus
-from twin.world.contact.probe_gap import Approach
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
 
 State = TypeVar("State")
@@ -139,11 +137,6 @@ def summed(blocks: Floats, rows: Ints, size: int) -> Any:
 def largest(vectors: Floats) -> float:
     """Return the length of the longest of vectors (n, axes)."""
     return float(np.linalg.norm(vectors, axis=1).max())
-
-
-def with_edge(approach: Approach, edge_mm: float) -> Approach:
-    """Return a probe at first touch whose face has a rim of another radius."""
-    return replace(approach, probe=approach.probe.model_copy(update={"edge_mm": edge_mm}))
 
 
 def check_reach(away: Floats, reach: float) -> None:

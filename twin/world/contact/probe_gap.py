@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Protocol
 
@@ -615,6 +615,10 @@ class Approach:
         return Approach(
             probe=probe, axis_mm=at + height * axes[2], touch_mm=point, axes=axes, tilt_deg=tilt_deg
         )
+
+    def with_edge(self, edge_mm: float) -> Approach:
+        """Return a probe at first touch whose face has a rim of another radius."""
+        return replace(self, probe=self.probe.model_copy(update={"edge_mm": edge_mm}))
 
 
 @njit(cache=True)

@@ -52,7 +52,6 @@ from twin.world.contact.mixed_rubber import (
     largest,
     newton,
     summed,
-    with_edge,
 )
 from twin.world.contact.probe_gap import MOTIONS, Approach, Shape, Z
 from twin.world.elasticity.factor import Factor
@@ -312,7 +311,7 @@ class SlabStrain(FiniteStrain):
             least = _LEAST_EDGE * self._rim.diameter_mm
             if edge < least:
                 edge = least if share == 1.0 else 2.0 * least
-                approach = with_edge(approach, edge)
+                approach = approach.with_edge(edge)
             high = self._rim.diameter_mm / 2.0
             low = high - edge
             reach = _RIM_REACH * high

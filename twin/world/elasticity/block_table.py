@@ -52,7 +52,7 @@ from twin.world.elasticity.cache import PointCache, require_table
 from twin.world.elasticity.correction import correction
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.tensor_basis import SIZES, Axis, tensor_product
-from twin.world.mesh.body_mesh import body_mesh, mesh_key
+from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.sizing import Level, Sizing
@@ -269,7 +269,7 @@ class Table:
         in the cache for others."""
         if _is_standard(body):
             return MESHES / f"kamiyama_block.{role}.table.npz"
-        key = mesh_key(body, Sizing.of(body, MADE[role]))
+        key = Sizing.of(body, MADE[role]).mesh_key(body)
         every = NU_RANGE if poisson_ratio is None else poisson_ratio
         kind = [every, THIN, OBLONG, OFF_SIDES, DEEP]
         found = json.dumps([key, RIM_SHARE, SIZES, kind, WINDOW, BOX, STEP])

@@ -14,8 +14,6 @@ as well, those are meshed.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import os
 from dataclasses import asdict, replace
@@ -33,21 +31,11 @@ from twin.parts.body import CREASE_DEG, Block, Body
 from twin.parts.part import identity
 from twin.world.mesh.bisection import block_mesh
 from twin.world.mesh.elements import signed_volumes
-from twin.world.mesh.quadratic_mesh import FORMAT, Mesh
+from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality, dihedral_angles, open_edges
 from twin.world.mesh.sizing import Level, Sizing, WantedEdge, surface_samples
 from twin.world.mesh.snap import onto_sheets, snapped_mesh
 from twin.world.mesh.tetrahedralise import Request, remeshed
-
-
-def mesh_key(body: Body, sizing: Sizing) -> str:
-    """Return the SHA-256 of what a mesh depends on: the body's geometry (not its sources), the
-    sizing, the format."""
-    geometry = identity(body.geometry())
-    text = json.dumps(
-        {"body": geometry, "sizing": asdict(sizing), "format": FORMAT}, sort_keys=True
-    )
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def mesh_file(key: str) -> str:
@@ -66,7 +54,7 @@ def body_mesh(
     quality gates, or the mesher fails.
     """
     sizing = Sizing.of(body, level)
-    key = mesh_key(body, sizing)
+    key = sizing.mesh_key(body)
     if is_pinned():
         if (path := pinned(mesh_file(key))) is None:
             raise MeshError(
@@ -100,7 +88,7 @@ def body_mesh(
 
 def shipped_mesh(body: Body, level: Level) -> Mesh | None:
     """Return the mesh of exactly this body that ships with the program, None if there is none."""
-    key = mesh_key(body, Sizing.of(body, level))
+    key = Sizing.of(body, level).mesh_key(body)
     found = (_matching(path, key) for path in sorted(MESHES.glob(f"*.{level}.npz")))
     return next((mesh for mesh in found if mesh is not None), None)
 

@@ -8,7 +8,9 @@ steeply with the number of unknowns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import hashlib
+import json
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Literal
 
@@ -16,7 +18,9 @@ import numpy as np
 
 from twin.arrays import Floats, Ints, Points, grid_points
 from twin.parts.body import Body
+from twin.parts.part import identity
 from twin.world.mesh.elements import kuhn_grid
+from twin.world.mesh.quadratic_mesh import FORMAT
 from twin.world.mesh.snap import onto_sheets
 
 Level = Literal["nominal", "sketch", "coarse", "standard", "fine"]
@@ -91,6 +95,15 @@ class Sizing:
         """Return the sizing with every edge length times ``factor``; growth and window stay."""
         edges = ("coarse_mm", "fine_mm", "rim_mm")
         return replace(self, **{edge: getattr(self, edge) * factor for edge in edges})
+
+    def mesh_key(self, body: Body) -> str:
+        """Return the SHA-256 of what a mesh depends on: the body's geometry (not its sources), the
+        sizing, the format."""
+        geometry = identity(body.geometry())
+        text = json.dumps(
+            {"body": geometry, "sizing": asdict(self), "format": FORMAT}, sort_keys=True
+        )
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass(frozen=True)

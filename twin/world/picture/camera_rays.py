@@ -31,14 +31,7 @@ from twin.errors import RecipeError
 from twin.parts.camera import Camera, Ccd
 from twin.parts.scene import Scene
 from twin.theory.lens import lens_inverse
-from twin.theory.optics import (
-    air_gap,
-    project,
-    rays,
-    reflection,
-    tilt_matrix,
-    transmission,
-)
+from twin.theory.optics import project, rays, reflection, transmission
 from twin.world.picture.cover import cover_light, stretch
 from twin.world.picture.lamps import Lamps
 
@@ -192,7 +185,7 @@ def _marked(marks: Camera.Marks, corners: Floats, scene: Scene) -> tuple[Floats,
     # Where each pixel's ray crosses the outer face, and how far from the nearest mark's line.
     ahead = corners[:, :, 2:] * scene.material.refractive_index
     ahead /= np.sqrt(1 + (corners[:, :, 2:] ** 2).sum(axis=2) - (ahead**2).sum(axis=2))[:, :, None]
-    gap = air_gap(camera, scene.body.base_z_mm)
+    gap = camera.air_gap_mm(scene.body.base_z_mm)
     places = camera.pupil_mm[:2] + gap * ahead
     lines = marks.lines(*scene.body.bounds_mm)
     steps = min(int(np.ceil(4 * marks.length_mm / marks.size_mm)), _STEPS) + 1
@@ -326,7 +319,7 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
     body_index = scene.material.refractive_index
     layers = camera.layers
     # The rays of the pixels' corners, and the light of an LED along each.
-    into = lens_inverse(corners, camera) @ tilt_matrix(camera).T
+    into = lens_inverse(corners, camera) @ camera.tilt_matrix().T
     tangent = into[:, :2] / np.where(into[:, 2] < -1e-12, -into[:, 2], np.nan)[:, None]
     p = np.linalg.norm(tangent, axis=1)
     cosine = np.maximum((1 + p**2) ** -0.5, _GRAZING)
@@ -337,7 +330,7 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
         (tints * light.points()[1]).reshape(len(tints), len(light.positions_mm), -1).sum(axis=2)
     )
     total = np.zeros((shape[0] - 1, shape[1] - 1, len(powers)))
-    gap = air_gap(camera, scene.body.base_z_mm)
+    gap = camera.air_gap_mm(scene.body.base_z_mm)
     back = camera.pupil_mm[2] - gap
     indices = [1.0, *(layer.index for layer in layers[::-1]), body_index]
     # Each interface mirrors a part; the light passes all interfaces before it twice.

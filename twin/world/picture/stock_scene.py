@@ -24,7 +24,7 @@ from twin.errors import RecipeError
 from twin.files import write_whole
 from twin.parts.camera import Camera
 from twin.parts.scene import Scene
-from twin.theory.optics import air_gap, reflection, tilt_matrix
+from twin.theory.optics import reflection
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
 
@@ -287,7 +287,7 @@ def _sensor(scene: Scene, camera: Camera, down: float) -> dict[str, Any]:
     width, height = camera.width_px, camera.height_px
     column, row = camera.centre_px
     # Mitsuba's axes are left, up and forward; ours are right, up and backward.
-    axes = tilt_matrix(camera) * [-1, 1, -1]
+    axes = camera.tilt_matrix() * [-1, 1, -1]
     table: dict[str, Any] = {
         "type": "perspective",
         "fov": float(2 * np.rad2deg(np.arctan(width / 2 / camera.focal_px))),
@@ -309,7 +309,7 @@ def _sensor(scene: Scene, camera: Camera, down: float) -> dict[str, Any]:
         return table
     # What is sharp lies as deep in air as it appears through the window.
     base = scene.body.base_z_mm
-    depth = (base - camera.focus_z_mm) / scene.material.refractive_index + air_gap(camera, base)
+    depth = (base - camera.focus_z_mm) / scene.material.refractive_index + camera.air_gap_mm(base)
     depth += sum(layer.thickness_mm / layer.index for layer in camera.layers)
     lens = {"type": "thinlens", "aperture_radius": camera.aperture_mm / 2, "focus_distance": depth}
     return table | lens
