@@ -74,9 +74,10 @@ def small_picture(picture: Picture) -> str:
     return f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
-def two_columns(figures: Sequence[str]) -> str:
-    """Return figures in two columns; empty without any."""
-    return f'<div class="two">{"".join(figures)}</div>' if figures else ""
+def two_columns(figures: Sequence[str], three: bool = False) -> str:
+    """Return figures in two columns, or ``three`` on a wide page; empty without any."""
+    kind = "two three" if three else "two"
+    return f'<div class="{kind}">{"".join(figures)}</div>' if figures else ""
 
 
 LIGHT = (

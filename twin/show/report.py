@@ -156,7 +156,7 @@ def _verdict(result: RunResult) -> str:
     if centre is not None:
         said.append(f"it places the centre of the contact {digits(centre)} mm from the truth")
     if (field := _figure(score, "force", "field_error")) is not None:
-        said.append(f"its force field is off by {_amount('_error', field)}")
+        said.append(f"its force field is off by {_amount('_error', field)}, site by site")
     if not said:
         said = [_without_score(result)]
     text = said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"

@@ -2,6 +2,8 @@
 
 import io
 import json
+import math
+import re
 import tarfile
 from pathlib import Path
 from typing import Any
@@ -81,7 +83,10 @@ def test_the_contact_sheet_shows_pictures_truth_and_failures(made: Path, tmp_pat
     assert page.count("data:image/webp;base64") == good
     assert page.count("failed") == 6 - good
     assert page.count(", force (") == good
-    assert '<path d="M' in page
+    steps = [re.findall(r"M(\S+) (\S+)L([^\sM]+) ([^\sM]+)", path) for path in re.findall(r'<path d="(M[^"]*)"', page)]
+    longest = [max(math.hypot(float(c) - float(a), float(d) - float(b)) for a, b, c, d in one) for one in steps]
+    wide = twin.open_dataset(made).info["camera"]["width_px"]
+    assert wide / 50 < np.median(longest) < wide / 8, "shifts are seen, and don't cover the picture"
     assert "http" not in page.replace("http://www.w3.org", "")
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.arrays import Floats, Picture, Pixels, Points
+from twin.display import nice
 from twin.errors import InputError, did_you_mean
 from twin.files import LARGEST_PX, write_whole
 from twin.parts.camera import Camera
@@ -272,8 +273,8 @@ def _value(scalar: Any, kind: str, decode: bool = True) -> Any:
 SHOWN = 24
 """Samples on the sheet at most."""
 
-GAIN = 4.0
-"""Times by which the markers' shifts are drawn longer."""
+_LONGEST = 0.05
+"""Length of a drawn shift over the picture's width, of the sample with the median largest one."""
 
 
 def view_dataset(folder: Path, page: Path) -> str:
@@ -290,20 +291,34 @@ def view_dataset(folder: Path, page: Path) -> str:
     if "marker_pressed_px" not in reader.columns:
         raise InputError(f"{folder}: the sheet needs the column marker_pressed_px")
     rows = np.unique(np.linspace(0, len(reader) - 1, min(SHOWN, len(reader))).astype(int))
-    samples = two_columns([_figure(reader, reader[int(row)]) for row in rows])
+    samples = [reader[int(row)] for row in rows]
+    gain = _gain(reader, samples)
+    figures = two_columns([_figure(reader, sample, gain) for sample in samples])
     facts = [f"{len(reader)} rows, {len(rows)} shown", f"columns: {', '.join(reader.columns)}"]
     items = "".join(f"<li>{escape(fact)}</li>" for fact in facts)
     note = (
-        f"Lines: shift of each marker, {GAIN:g} times as long as it is. Yellow: where the body is "
+        f"Lines: shift of each marker, {gain:g} times as long as it is. Yellow: where the body is "
         "touched."
     )
-    sections = [("The set", f"<ul>{items}</ul>"), ("Samples", samples)]
+    sections = [("The set", f"<ul>{items}</ul>"), ("Samples", figures)]
     text = html_page.page(reader.info["title"] or "Dataset", note, [], sections)
     write_whole(page, text.encode())
     return f"{page}: {len(rows)} of {len(reader)} samples"
 
 
-def _figure(reader: DatasetReader, sample: dict[str, Any]) -> str:
+def _gain(reader: DatasetReader, samples: Sequence[dict[str, Any]]) -> float:
+    """Return how many times as long as they are the samples' shifts are drawn."""
+    largest = []
+    for sample in samples:
+        if sample["status"] == "ok":
+            rest = reader.sensor(sample["sensor"])["marker_rest_px"]
+            shift = _finite(sample["marker_pressed_px"] - rest)
+            largest.append(np.hypot(*shift.T).max(initial=0.0))
+    usual = float(np.median(largest)) if largest else 0.0
+    return nice(_LONGEST * reader.info["camera"]["width_px"] / usual) if usual > 0 else 1.0
+
+
+def _figure(reader: DatasetReader, sample: dict[str, Any], gain: float) -> str:
     """Return a sample as a figure of the sheet: its picture and markers, or why it failed."""
     if sample["status"] != "ok":
         alarm = f'<p class="alarm">{escape(sample["error"])}</p>'
@@ -320,7 +335,7 @@ def _figure(reader: DatasetReader, sample: dict[str, Any]) -> str:
             for x, y in _finite(reader.project(sample["surface_mm"], sample["sensor"]))
         ]
     steps = "".join(
-        f"M{a:.1f} {b:.1f}L{a + GAIN * (c - a):.1f} {b + GAIN * (d - b):.1f}"
+        f"M{a:.1f} {b:.1f}L{a + gain * (c - a):.1f} {b + gain * (d - b):.1f}"
         for a, b, c, d in _finite(np.column_stack([rest, sample["marker_pressed_px"]]))
     )
     parts.append(f'<path d="{steps}" stroke="#4f8" stroke-width="1.6"/>')

@@ -491,7 +491,7 @@ def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> list[str]:
         cards.append(
             f"<h3>Design {number}</h3>"
             f'<p class="note">Ready to run, in this page&rsquo;s folder: <code>twin run '
-            f"{escape(str(file.relative_to(folder)))}</code></p>{two_columns(parts)}"
+            f"{escape(str(file.relative_to(folder)))}</code></p>{two_columns(parts, three=True)}"
         )
     return cards
 
