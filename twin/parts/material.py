@@ -128,8 +128,3 @@ def plane_strain_modulus(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) ->
     """Return E* = E / (1 - nu^2), in the unit of E: of contact with a rigid body (Johnson 1985,
     section 4.2)."""
     return youngs_modulus_mpa / (1.0 - poisson_ratio**2)
-
-
-def compressibility(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulus:
-    """Return 1 / kappa = 3 (1 - 2 nu) / E, kappa the bulk modulus; 0 at nu = 1/2."""
-    return 3.0 * (1.0 - 2.0 * poisson_ratio) / youngs_modulus_mpa

@@ -6,7 +6,7 @@ from typing import Any
 
 import twin
 from twin.parts.scene import Scene
-from twin.study.dataset.create import Outcome, create_dataset
+from twin.study.dataset.create import create_dataset
 
 SMALL: dict[str, Any] = {
     "camera.width_px": 160, "camera.height_px": 120, "camera.focal_px": 450,
@@ -30,7 +30,7 @@ def small_scene(columns: tuple[str, ...] = NO_PICTURE, **overrides: Any) -> Scen
     return twin.load_scene("kamiyama_pillar", {**SMALL, "dataset.columns": list(columns), **dotted})
 
 
-def make(folder: Path, samples: int = 4, scene: Scene | None = None, **how: Any) -> Outcome:
+def make(folder: Path, samples: int = 4, scene: Scene | None = None, **how: Any) -> Any:
     """Make a small dataset without pictures."""
     return create_dataset(scene or small_scene(), folder, samples, **how)
 

@@ -1,11 +1,10 @@
-"""Datasets in other programs' formats: README card, Croissant, HDF5, COCO keypoints, WebDataset.
+"""Datasets in other programs' formats: HDF5, COCO keypoints, WebDataset.
 
 Samples that failed are left out; every exporter writes under a temporary name first.
 """
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import os
@@ -18,12 +17,7 @@ import numpy as np
 
 from twin.arrays import Progress
 from twin.errors import InputError, MissingCapability, TwinError
-from twin.files import make_folder, write_json, write_whole
-from twin.parts.material import Material
-from twin.parts.shape import StlFile
-from twin.study.dataset.audit import FIGURES
-from twin.study.dataset.columns import Column
-from twin.study.dataset.plan import Places, Plan
+from twin.files import make_folder, write_whole
 from twin.study.dataset.reader import DatasetReader
 
 FORMATS = ("hdf5", "coco", "webdataset")
@@ -210,189 +204,3 @@ def _webdataset(reader: DatasetReader, out: Path, progress: Progress | None) -> 
             tar.addfile(entry, io.BytesIO(data))
     close()
     return paths
-
-
-_LICENCE = "https://creativecommons.org/publicdomain/zero/1.0/"
-
-
-def write_card(plan: Plan, places: Places, audit: dict[str, Any], failed: int) -> None:
-    """Write the dataset's card (README.md) and its Croissant metadata."""
-    write_whole(places.folder / "README.md", _card_text(plan, places, audit, failed).encode())
-    write_json(places.folder / "croissant.json", _croissant(plan))
-
-
-def _card_text(plan: Plan, places: Places, audit: dict[str, Any], failed: int) -> str:
-    """Return the card: Markdown under the header that dataset hubs read."""
-    scene = plan.scene
-    info = places.read_info()
-    sensors = plan.sensor_of(plan.samples - 1) + 1
-    varies = "".join(f"* `{key}`: {_in_words(axis)}\n" for key, axis in sorted(scene.vary.items()))
-    figures = "".join(
-        f"| {what} | {audit[name]['median']:.2g} | {audit[name]['largest']:.2g} |\n"
-        for name, what in FIGURES.items()
-        if name in audit
-    )
-    versions = ", ".join(f"{name} {version}" for name, version in info["versions"].items())
-    again = "1 sample was" if audit["samples"] == 1 else f"{audit['samples']} samples were"
-    return f"""---
-license: cc0-1.0
-tags: [tactile, simulation, physics, robotics]
-configs:
-- config_name: samples
-  data_files: data/*.parquet
-  default: true
-- config_name: sensors
-  data_files: sensors/*.parquet
----
-# {scene.title or "Presses on a tactile sensor"}
-
-{plan.samples} presses on {sensors} made sensor{"s" if sensors > 1 else ""} of one design,
-simulated with `twin`; {failed} of them failed and are rows with their error. Lengths in mm, forces
-in N, z into the body; x is right and y is up in the picture, whose pixel (0, 0) is the centre of
-the top left one.
-
-```python
-import datasets, pyarrow.parquet, twin
-
-samples = datasets.load_dataset("parquet", data_files="data/*.parquet", split="train")
-samples = samples.cast_column("picture", datasets.Image())  # if it has pictures
-samples = pyarrow.parquet.read_table("data")
-sample = twin.open_dataset(".")[0]
-```
-
-`meta/` has the scene (`scene.toml`), the meshes, `info.json` with schema, units and versions, and
-`SHA256SUMS`. The same command makes the same bytes.
-
-## What varies
-
-{varies or "Nothing: every sample is the same press."}
-Sampling is {scene.dataset.sampling}, seed {scene.seed}; a new sensor is made every
-{scene.dataset.samples_per_sensor} samples.
-
-## How far off the truth is
-
-{again} computed again at the highest accuracy (twice the contact patches and steps, no patches
-gathered, the body's finest mesh, 12 x 12 rays per pixel). Differences:
-
-| quantity | median | largest |
-| --- | --- | --- |
-{figures}
-Projection is closed form, good to 1e-6 px. The error of the finest mesh or table stands in
-`docs/elasticity.md` (0.02 % on the standard block, 0.09 % on the finger), that of linear theory
-in the column `linearisation_error`. {_model(scene.material)}
-
-## Columns
-
-| column | unit | what |
-| --- | --- | --- |
-{_rows(plan.row_columns)}
-Of the sensors:
-
-| column | unit | what |
-| --- | --- | --- |
-{_rows(plan.sensor_columns)}
-## Made with
-
-{versions}{"; renderer " + info["renderer"] if info["renderer"] else ""}.
-"""
-
-
-def _model(material: Material) -> str:
-    """Return what the rubber's model holds and leaves out."""
-    law = material.law
-    if material.relaxation:
-        return "The rubber relaxes (material.relaxation) in steps\nwith seconds; strain is small."
-    if law == "linear":
-        return "The model is quasi-static and linear: no rate, creep,\nhysteresis or large strain."
-    return (
-        f"Large strain is included (material.law = {law}) in\nmotions, indentations, forces and "
-        "pictures; each force is shared out on the surface as by linear contact. The\nmodel is "
-        "quasi-static: no rate, creep or hysteresis."
-    )
-
-
-def _rows(columns: tuple[Column, ...]) -> str:
-    entries = (column.described() for column in columns)
-    return "".join(f"| `{c['name']}` | {c['unit']} | {c['what']} |\n" for c in entries)
-
-
-def _in_words(axis: Any) -> str:
-    plain = StlFile.bare(
-        axis.model_dump(mode="json", exclude={"source", "assumed"}, exclude_defaults=True)
-    )
-    return ", ".join(f"{key} {json.dumps(value)}" for key, value in plain.items())
-
-
-def _croissant(plan: Plan) -> dict[str, Any]:
-    """Return the dataset's Croissant 1.0 metadata (MLCommons), as JSON-LD.
-
-    Its files are named from the folder of the metadata, which is the dataset's: readers look for a
-    file set that is contained in nothing else there.
-    """
-    return {
-        "@context": json.loads(_CONTEXT.read_text(encoding="utf-8")),
-        "@type": "sc:Dataset",
-        "conformsTo": "http://mlcommons.org/croissant/1.0",
-        "name": _name(plan.scene.title) or "twin-dataset",
-        "description": f"{plan.samples} simulated presses on a camera-based tactile sensor, with "
-        f"their truth.",
-        "license": _LICENCE,
-        "url": "https://example.org/not-published",
-        "version": "1.0.0",
-        "datePublished": "2026-01-01",
-        "citeAs": "see CITATION.cff of tactile-twin",
-        "distribution": [_files("samples", "data"), _files("sensors", "sensors")],
-        "recordSet": [
-            _record_set("samples", plan.row_columns),
-            _record_set("sensors", plan.sensor_columns),
-        ],
-    }
-
-
-def _files(name: str, folder: str) -> dict[str, Any]:
-    return {
-        "@type": "cr:FileSet",
-        "@id": f"{name}-files",
-        "name": f"{name}-files",
-        "encodingFormat": "application/x-parquet",
-        "includes": f"{folder}/*.parquet",
-    }
-
-
-def _record_set(name: str, columns: tuple[Column, ...]) -> dict[str, Any]:
-    return {
-        "@type": "cr:RecordSet",
-        "@id": name,
-        "name": name,
-        "field": [
-            {
-                "@type": "cr:Field",
-                "@id": f"{name}/{column.name}",
-                "name": column.name,
-                "description": column.what,
-                "dataType": _TYPES[column.kind],
-                **({"repeated": True} if column.kind in _LISTS else {}),
-                "source": {"fileSet": {"@id": f"{name}-files"}, "extract": {"column": column.name}},
-            }
-            for column in columns
-        ],
-    }
-
-
-_LISTS = {"numbers": "sc:Float", "flags": "sc:Boolean", "vectors": "sc:Float", "pixels": "sc:Float"}
-_TYPES = {
-    "integer": "sc:Integer",
-    "number": "sc:Float",
-    "text": "sc:Text",
-    "png": "sc:ImageObject",
-    **_LISTS,
-}
-
-_CONTEXT = Path(__file__).with_name("croissant_context.json")
-"""The terms of Croissant 1.0, as its specification gives them."""
-
-
-def _name(title: str) -> str:
-    kept = "".join(c if c.isalnum() else "-" for c in title.lower())
-    short = "-".join(part for part in kept.split("-") if part)[:60]
-    return f"{short}-{hashlib.sha256(title.encode()).hexdigest()[:6]}" if short else ""

@@ -14,13 +14,15 @@ Within a tenth of the body's height of a held face there is no bound: both are o
 from __future__ import annotations
 
 import contextlib
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from twin.arrays import Floats, Points, Progress
+from twin.arrays import Floats, Points, Progress, grid_points
 from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
@@ -35,10 +37,7 @@ from twin.world.elasticity.cache import (
     cached_field,
     field_key,
 )
-from twin.world.elasticity.correction import (
-    correction,
-    direct_fields,
-)
+from twin.world.elasticity.correction import correction
 from twin.world.elasticity.discretise import require_on_surface
 from twin.world.elasticity.error_law import (
     DIRECT,
@@ -303,7 +302,7 @@ class Compliance:
                 for i in range(len(rectangles))
                 for force in np.eye(3)
             ]
-            fields = direct_fields(self.system, self.body, self._locator, units)
+            fields = _direct_fields(self.system, self.body, self._locator, units)
             return (known.placed(self._locator).values(fields) / self._modulus).reshape(shape)
         if table := self._table_of_many(known, rectangles, reused=reused):
             w = table.corrections(known, rectangles).reshape(shape)
@@ -527,7 +526,51 @@ class Compliance:
     def _solve(self, load: Rectangles) -> Floats:
         if self._subtracted:
             return correction(self.system, self.body, [load])[:, :, 0]
-        return direct_fields(self.system, self.body, self._locator, [load])[:, :, 0]
+        return _direct_fields(self.system, self.body, self._locator, [load])[:, :, 0]
+
+
+PIECE_MM, MOST_PIECES = 0.5, 60
+"""Largest distance of the points at which a rectangle acts, and most of them along one side."""
+
+
+def _direct_fields(
+    system: TaylorHood, body: Body, locator: Locator, loads: Sequence[Rectangles]
+) -> Floats:
+    """Return (N, 3, m) displacement fields in mm for E = 1 MPa under m loads, without a half-space.
+
+    Each rectangle acts at a grid of points, moved onto the surface; totals are kept. Raises an
+    `InputError` where a load misses the surface.
+    """
+    forces = [_consistent_forces(body, system.mesh, locator, load) for load in loads]
+    return system.solve(np.stack(forces, axis=2))
+
+
+def _consistent_forces(body: Body, mesh: Mesh, locator: Locator, load: Rectangles) -> Floats:
+    """Return the (N, 3) nodal forces, N, that do the same work as ``load`` on the elements'
+    fields."""
+    points, forces = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for centre, frame, half, force in zip(
+        load.centre_mm, load.frames, load.half_mm, load.force_n, strict=True
+    ):
+        sides = [_middles(float(h)) for h in half]
+        offsets = grid_points(*sides)
+        points.append(centre + offsets @ frame[:2])
+        forces.append(np.tile(force / len(offsets), (len(offsets), 1)))
+    places = np.concatenate(points)
+    places = places - body.depth(places)[:, None] * body.piece_normals(places)[:, 0]
+    spread = locator.locate(places).matrix(len(mesh.points))
+    nodal = np.asarray(spread.T @ np.concatenate(forces))
+    total, wanted = nodal.sum(axis=0), load.force_n.sum(axis=0)
+    if not np.allclose(total, wanted, rtol=1e-9, atol=1e-9 * float(np.abs(load.force_n).sum())):
+        raise InputError(
+            f"the load puts {total} N on the mesh, wanted are {wanted} N: it misses the surface"
+        )
+    return nodal
+
+
+def _middles(half: float) -> Floats:
+    number = min(max(math.ceil(2.0 * half / PIECE_MM), 1), MOST_PIECES)
+    return (np.arange(number) + 0.5) / number * 2.0 * half - half
 
 
 def _region(system: TaylorHood, body: Body, rectangles: Rectangles, near: bool) -> Region:

@@ -37,9 +37,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints, Points, for_kernel, grid_points
+from twin.arrays import Bools, Floats, Ints, Points, for_kernel
 from twin.compiled import njit
-from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
@@ -48,7 +47,6 @@ from twin.theory.halfspace import GAUSS_2, rectangle_slopes
 from twin.world.elasticity.factor import GOAL
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh.elements import TET_EDGES, quadrature, shapes
-from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.quadratic_mesh import Mesh
 
 
@@ -106,50 +104,6 @@ def unbalanced(
         np.concatenate(held, axis=2),
         np.concatenate(swollen, axis=1),
     )
-
-
-PIECE_MM, MOST_PIECES = 0.5, 60
-"""Largest distance of the points at which a rectangle acts, and most of them along one side."""
-
-
-def direct_fields(
-    system: TaylorHood, body: Body, locator: Locator, loads: Sequence[Rectangles]
-) -> Floats:
-    """Return (N, 3, m) displacement fields in mm for E = 1 MPa under m loads, without a half-space.
-
-    Each rectangle acts at a grid of points, moved onto the surface; totals are kept. Raises an
-    `InputError` where a load misses the surface.
-    """
-    forces = [_consistent_forces(body, system.mesh, locator, load) for load in loads]
-    return system.solve(np.stack(forces, axis=2))
-
-
-def _consistent_forces(body: Body, mesh: Mesh, locator: Locator, load: Rectangles) -> Floats:
-    """Return the (N, 3) nodal forces, N, that do the same work as ``load`` on the elements'
-    fields."""
-    points, forces = [np.zeros((0, 3))], [np.zeros((0, 3))]
-    for centre, frame, half, force in zip(
-        load.centre_mm, load.frames, load.half_mm, load.force_n, strict=True
-    ):
-        sides = [_middles(float(h)) for h in half]
-        offsets = grid_points(*sides)
-        points.append(centre + offsets @ frame[:2])
-        forces.append(np.tile(force / len(offsets), (len(offsets), 1)))
-    places = np.concatenate(points)
-    places = places - body.depth(places)[:, None] * body.piece_normals(places)[:, 0]
-    spread = locator.locate(places).matrix(len(mesh.points))
-    nodal = np.asarray(spread.T @ np.concatenate(forces))
-    total, wanted = nodal.sum(axis=0), load.force_n.sum(axis=0)
-    if not np.allclose(total, wanted, rtol=1e-9, atol=1e-9 * float(np.abs(load.force_n).sum())):
-        raise InputError(
-            f"the load puts {total} N on the mesh, wanted are {wanted} N: it misses the surface"
-        )
-    return nodal
-
-
-def _middles(half: float) -> Floats:
-    number = min(max(math.ceil(2.0 * half / PIECE_MM), 1), MOST_PIECES)
-    return (np.arange(number) + 0.5) / number * 2.0 * half - half
 
 
 FAR = 6.0

@@ -31,7 +31,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, coordinates
 from twin.errors import InputError, MeshError, SolveError
-from twin.parts.material import Cover, Material, compressibility, shear_modulus
+from twin.parts.material import Cover, Material, Modulus, shear_modulus
 from twin.world.elasticity.factor import GOAL, Factor, Solver
 from twin.world.mesh.elements import inverses, quadrature, shapes, signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
@@ -78,7 +78,12 @@ class Layer:
     @property
     def softness(self) -> float:
         """1 / kappa, 1/MPa, where the body's E is 1 MPa."""
-        return compressibility(self.modulus_ratio, self.poisson_ratio)
+        return _compressibility(self.modulus_ratio, self.poisson_ratio)
+
+
+def _compressibility(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulus:
+    """Return 1 / kappa = 3 (1 - 2 nu) / E, kappa the bulk modulus; 0 at nu = 1/2."""
+    return 3.0 * (1.0 - 2.0 * poisson_ratio) / youngs_modulus_mpa
 
 
 class TaylorHood:
