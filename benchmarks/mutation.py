@@ -8,9 +8,9 @@ a function returns the same), imports, messages (f-strings, what is raised, prin
 operator that no float takes (shifts, bits), as any test would catch them. A program that hangs counts as a survivor.
 cosmic-ray and not mutmut, which wraps every function in a switch that numba can't compile.
 
-cosmic-ray's session in FOLDER keeps every result; the same command goes on. A survivor's ``judgement`` is written by
-hand into benchmarks/results/mutation.json and kept. ``--again``, after tests were added, runs survivors anew that have
-none, with the tests of the checkout; "test added" is then the judgement of those that are caught.
+cosmic-ray's session in FOLDER keeps what can be changed, benchmarks/results/mutation.json what came of it; the same
+command goes on. A survivor's ``judgement`` is written into the latter by hand, and kept. ``--again``, after tests were
+added and committed, runs survivors anew that have none; "test added" is then the judgement of those that are caught.
 """
 
 import ast
@@ -101,7 +101,9 @@ def opened(folder: Path) -> Any:
     code = folder / "code"
     if not code.is_dir():
         subprocess.run(["git", "worktree", "add", "--detach", str(code)], cwd=ROOT, check=True)
-    subprocess.run(["git", "checkout", "-q", "."], cwd=code, check=True)  # a killed run leaves its wrong line
+    last = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    subprocess.run(["git", "checkout", "-q", "--", "twin"], cwd=code, check=True)  # a killed run leaves its wrong line
+    subprocess.run(["git", "checkout", "-q", last.strip(), "--", "tests"], cwd=code, check=True)
     session = WorkDB(str(folder / "session.sqlite"), WorkDB.Mode.create)
     if not session.num_work_items:
         with chdir(code):
