@@ -24,6 +24,9 @@ _LAYERS = {"red": "#c8381e", "blue": "#1f5fbf"}
 _OTHERS = ("#1b7a5a", "#7a4fb5", "#946c00")
 """Colours of marker layers by name, and of layers of other names in turn."""
 
+_BAR = 0.75
+"""Height of a colour bar over that of its panel."""
+
 _LONGEST = 1.5
 """Length of the longest arrow over the mean distance of neighbours, at the most."""
 
@@ -120,8 +123,6 @@ def plot_shifts(
         allows.
     """
     good = np.isfinite(rest_px).all(axis=1) & np.isfinite(shift_px).all(axis=1)
-    if picture is not None:
-        ax.imshow(picture)
     lengths = np.hypot(*shift_px[good].T)
     if factor is None:
         longest = float(lengths.max(initial=0.0))
@@ -140,14 +141,37 @@ def plot_shifts(
             color=_LAYERS.get(name) or next(spare),
             label=f"{name} layer" if name != "markers" else name,
         )
-    ax.set_aspect("equal")
-    if picture is None:
-        ax.invert_yaxis()
-    ax.set_xlabel("column (px)")
-    ax.set_ylabel("row (px)")
+    _in_px(ax, picture)
     ax.set_title(f"marker motion, drawn {factor:g} times as long")
-    if good.any():
+    if len(set(names[good].tolist())) > 1:
         ax.legend(loc="upper right", frameon=picture is not None)
+    return ax
+
+
+def plot_layout(
+    ax: Any, layout_px: Mapping[str, Pixels], stray_px: Pixels, picture: Picture | None = None
+) -> Any:
+    """Ring the markers of each layer in the picture, and cross the spots that are none.
+
+    Parameters
+    ----------
+    ax
+        matplotlib axes to draw on.
+    layout_px, stray_px
+        (n, 2) centres by layer, and of other spots, px.
+    picture
+        Drawn below the rings.
+    """
+    spare = iter(_OTHERS * (1 + len(layout_px)))
+    for name, centres in layout_px.items():
+        colour = _LAYERS.get(name) or next(spare)
+        label = f"{name} layer, {len(centres)} markers"
+        ax.plot(*centres.T, "o", mfc="none", mec=colour, ms=8, label=label)
+    if len(stray_px):
+        ax.plot(*stray_px.T, "x", color="#1d2126", ms=6, label="on no lattice")
+    _in_px(ax, picture)
+    # Above the axes, where it covers no marker.
+    ax.legend(loc="lower left", bbox_to_anchor=(0, 1), frameon=False)
     return ax
 
 
@@ -183,7 +207,7 @@ def plot_forces(
             scale=scale,
             width=0.004,
         )
-    ax.figure.colorbar(shown, ax=ax, label="force along z (N)")
+    ax.figure.colorbar(shown, ax=ax, label="force along z (N)", shrink=_BAR)
     _in_mm(ax, title)
     return ax
 
@@ -214,9 +238,19 @@ def plot_patches(ax: Any, corner_mm: Floats, pressure_mpa: Floats, slip: Bools) 
     if slip.any() and not slip.all():
         ax.plot(*corner_mm[slip].mean(axis=1)[:, :2].T, "w.", ms=2, label="slips")
         ax.legend(loc="upper right", facecolor="#666666", labelcolor="white")
-    ax.figure.colorbar(drawn, ax=ax, label="pressure (MPa)", extend="max")
+    ax.figure.colorbar(drawn, ax=ax, label="pressure (MPa)", extend="max", shrink=_BAR)
     _in_mm(ax, f"contact, {len(pressure_mpa)} patches")
     return ax
+
+
+def _in_px(ax: Any, picture: Picture | None) -> None:
+    if picture is None:
+        ax.invert_yaxis()
+    else:
+        ax.imshow(picture, cmap="gray")  # of one channel; colours are shown as they are
+    ax.set_aspect("equal")
+    ax.set_xlabel("column (px)")
+    ax.set_ylabel("row (px)")
 
 
 def _in_mm(ax: Any, title: str) -> None:

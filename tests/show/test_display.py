@@ -90,6 +90,20 @@ def test_a_run_is_drawn_in_three_panels_of_one_scale() -> None:
         RunResult(scene_toml="").plot()
 
 
+def test_a_found_layout_is_named_and_ringed() -> None:
+    row, column = np.mgrid[:120, :160]
+    rest = np.where(np.hypot((row + 10) % 20 - 10, (column + 10) % 20 - 10) < 4, 40, 180).astype(np.uint8)
+    found = twin.find_layout(rest)
+    for word in ("black", "35 dark dots", "7 columns x 5 rows", "square", "pitch 20 px"):
+        assert word in repr(found)
+        assert word in in_notebook(found)
+    ax = Figure().subplots()
+    assert found.plot(ax, rest) is ax
+    np.testing.assert_array_equal(np.transpose(ax.lines[0].get_data()), found.layers["black"].centre_px)
+    assert len(ax.images) == 1
+    assert "35 markers" in ax.get_legend().get_texts()[0].get_text()
+
+
 def test_arrows_are_at_most_a_pitch_and_a_half_long() -> None:
     panel = run_result(forces=False).plot()[0]
     arrows = [drawn for drawn in panel.collections if hasattr(drawn, "U")]

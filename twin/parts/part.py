@@ -7,13 +7,13 @@ here too.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from typing import Annotated, Any, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from twin.errors import RecipeError
+from twin.errors import RecipeError, did_you_mean
 
 UNITS = {
     "mm": "mm",
@@ -108,12 +108,18 @@ class Part(BaseModel):
     source: str | dict[str, str] = Field(default_factory=dict, repr=False)
     assumed: str | dict[str, str] = Field(default_factory=dict, repr=False)
 
-    def __init__(self, **values: Any) -> None:
+    def __init__(self, *unnamed: Any, **values: Any) -> None:
         """Validate and keep ``values``; raise a `RecipeError` with every problem at once."""
+        known = [key for key in type(self).model_fields if key not in ("source", "assumed")]
+        if unnamed:
+            raise RecipeError(
+                f"{unnamed[0]!r:.60}: give every value by its name: {', '.join(known)}",
+                type(self).__name__,
+            )
         try:
             super().__init__(**values)
         except ValidationError as problem:
-            lines = [_complaint(dict(error)) for error in problem.errors(include_url=False)]
+            lines = [_complaint(dict(error), known) for error in problem.errors(include_url=False)]
             raise RecipeError(lines, type(self).__name__) from None
 
     # Whole files are validated without a call of this constructor, so that their complaints can
@@ -224,12 +230,14 @@ def in_words(error: Mapping[str, Any]) -> str:
     )
 
 
-def _complaint(error: dict[str, Any]) -> str:
+def _complaint(error: dict[str, Any], known: Sequence[str]) -> str:
     key = ".".join(
         str(k) for k in error["loc"] if k != "constrained-float"
     )  # no key: a union's number
     unit = unit_of(str(error["loc"][-1])) if error["loc"] else ""
     message = in_words(error)
+    if error["type"] == "extra_forbidden" and len(error["loc"]) == 1:
+        message += f"; {did_you_mean(key, known, 'known are ' + ', '.join(known), 0.5)}"
     in_message = isinstance(error["input"], dict) or error["type"] in ("missing", "extra_forbidden")
     given = "" if in_message or not key else f" = {error['input']!r}{' ' + unit if unit else ''}"
     return f"{key}{given}: {message}" if key else message

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Pixels, Points, frozen
+from twin.display import html_table, one_line
 from twin.errors import InputError, TwinError
 from twin.files import read_arrays, write_whole
 from twin.parts.camera import Camera
@@ -145,6 +146,26 @@ class Calibration:
         self.relaxation  # noqa: B018  bad terms are refused here
         if self.has_camera:
             self._optics  # noqa: B018  a bad camera is refused here
+
+    def __repr__(self) -> str:
+        return one_line("Calibration", list(self._sensor().values()))
+
+    def _repr_html_(self) -> str:
+        return html_table("Calibration", self._sensor())
+
+    def __str__(self) -> str:
+        """Return the sensor that this is a calibration of, so that a wrong one is noticed."""
+        return ", ".join(value for value in self._sensor().values() if value)
+
+    def _sensor(self) -> dict[str, str]:
+        stiffness = self.facts.get("youngs_modulus_mpa")
+        return {
+            "scene": str(self.facts.get("scene") or "of an unnamed sensor"),
+            "method": f"method {self.method}",
+            "rubber": f"E {stiffness:.3g} MPa" if stiffness is not None else "",
+            "markers": f"{len(self.layer)} markers",
+            "sites": f"{len(self.site_mm)} sites",
+        }
 
     @cached_property
     def facts(self) -> dict[str, Any]:

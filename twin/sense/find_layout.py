@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from scipy.ndimage import median_filter, zoom
 from scipy.spatial import cKDTree
 
 from twin.arrays import Floats, Ints, Picture, Pixels, frozen
+from twin.display import html_table, new_axes, one_line, plot_layout
 from twin.errors import InputError
 from twin.sense.colour import Signal, Weights, as_picture, projections
 from twin.sense.detect import CUT, Blobs
@@ -113,6 +114,15 @@ class FoundLayer:
     def __len__(self) -> int:
         return len(self.centre_px)
 
+    def __repr__(self) -> str:
+        facts = [
+            f"{len(self)} {self.polarity} dots",
+            f"{self.columns} columns x {self.rows} rows",
+            f"{self.lattice}, pitch {self.pitch_px:.4g} px",
+            f"diameter {self.diameter_px:.3g} px",
+        ]
+        return one_line("FoundLayer", facts)
+
     @property
     def columns(self) -> int:
         """Number of columns that show a dot or lie between two that do."""
@@ -144,6 +154,28 @@ class FoundLayout:
         """Centres by layer, as `twin.track` takes them."""
         return {name: layer.centre_px for name, layer in self.layers.items()}
 
+    def __repr__(self) -> str:
+        return one_line("FoundLayout", [f"{n} {value}" for n, value in self._facts().items()])
+
+    def _repr_html_(self) -> str:
+        return html_table("Layout of a rest picture", self._facts())
+
+    def _facts(self) -> dict[str, str]:
+        facts = {name: repr(layer)[len("FoundLayer(") : -1] for name, layer in self.layers.items()}
+        return facts | ({"stray": f"{len(self.stray_px)} spots"} if len(self.stray_px) else {})
+
+    def plot(self, ax: Any = None, picture: Picture | None = None) -> Any:
+        """Draw the dots that were found on matplotlib axes, and return these.
+
+        Parameters
+        ----------
+        ax
+            Axes to draw on; new ones if None.
+        picture
+            Drawn below the rings.
+        """
+        return plot_layout(new_axes(1, ax), self.layout_px, self.stray_px, picture)
+
 
 def find_layout(rest_image: Picture) -> FoundLayout:
     """Find the markers, and the lattice of each of their layers, in one picture without load.
@@ -168,6 +200,8 @@ def find_layout(rest_image: Picture) -> FoundLayout:
     >>> layer = found.layers["black"]
     >>> layer.columns, layer.rows, layer.lattice, round(layer.pitch_px)
     (7, 5, 'square', 20)
+    >>> found
+    FoundLayout(black 35 dark dots, 7 columns x 5 rows, square, pitch 20 px, diameter 7.57 px)
     >>> motion = twin.track(rest, rest, found.layout_px)
     """
     picture = as_picture(rest_image, "the rest picture")

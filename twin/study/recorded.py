@@ -155,7 +155,7 @@ def reconstruct_recording(
     table = _TableFile(out, known.site_mm) if out else None
     drawing = _OverlayFile(overlay) if overlay else None
     results = _reconstruct_frames(read_picture(rest), known, pictures, clock=clock, **options)
-    print(f"calibration {_described(known)}", file=sys.stderr)
+    print(f"calibration {known}", file=sys.stderr)
     print(f"forces      {_described_options(options)}{in_time}", file=sys.stderr)
     if known.relaxation is not None and clock is None:
         print(
@@ -925,19 +925,6 @@ class _LiveTable:
         for cells in self._rows:
             table.add_row(*cells)
         return table
-
-
-def _described(known: Calibration) -> str:
-    """Return the sensor that a calibration is of, so that a wrong one is noticed."""
-    stiffness = known.facts.get("youngs_modulus_mpa")
-    parts = [
-        str(known.facts.get("scene") or "of an unnamed sensor"),
-        f"method {known.method}",
-        *([f"E {stiffness:.3g} MPa"] if stiffness is not None else []),
-        f"{len(known.layer)} markers",
-        f"{len(known.site_mm)} sites",
-    ]
-    return ", ".join(parts)
 
 
 def _stored_options(known: Calibration) -> Reconstruction:
