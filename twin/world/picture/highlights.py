@@ -25,8 +25,8 @@ from twin.world.picture.lamps import Lamps
 from twin.world.picture.picture_job import Indices, occluders
 
 _AROUND, _RINGS = 8, 7
-"""Normals of facets for each LED: so many around, and so many from steep to flat; a seventh of the
-latter for each point of a disc."""
+"""Normals of facets for each LED: so many around, and from steep to flat; those of one ring for
+each point of a disc."""
 
 _GOLDEN = (np.sqrt(5) - 1) / 2
 """By this share of a step each ring is turned against the one before."""
@@ -45,8 +45,8 @@ def highlights(markers: Ellipsoids, scene: Scene, top: float) -> Singles:
     """
     camera, light = scene.imaging
     assert markers.gloss is not None
-    _, jacobian = project_with_jacobian(markers.centres, *scene.optics)
-    seen = np.isfinite(jacobian).all(axis=(1, 2))
+    places_px, jacobian = project_with_jacobian(markers.centres, *scene.optics)
+    seen = np.isfinite(places_px).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
     which = np.flatnonzero(markers.present & (markers.gloss[:, 0] > 0) & seen)
     index, roughness = markers.gloss[which].T[:, :, None]
     centres, axes = markers.centres[which], markers.axes[which]
@@ -67,101 +67,90 @@ def highlights(markers: Ellipsoids, scene: Scene, top: float) -> Singles:
     cosine = np.sum(towards * normal, axis=2) / distance
     mirrored = _fresnel(cosine, index / scene.material.refractive_index)
     free = _unhidden(markers, which, place, lamps.place, centres + 100 * view[:, 0])
-    power = np.pi / 4 * mirrored * lamps.power / (distance**2 * top) * free
+    # What facets shadow and hide of each other is off (Smith), as at the middle of a highlight.
+    slant = 1 / np.maximum(cosine, 1e-3) ** 2 - 1
+    open_both_ways = (2 / (1 + np.sqrt(1 + roughness**2 * slant))) ** 2
+    power = np.pi / 4 * mirrored * lamps.power / (distance**2 * top) * free * open_both_ways
 
-    # Normals of facets about that place's, each standing for the same share of them, and the pixel
-    # where each is seen; a pixel's light is what comes from the area that it sees.
-    ring, number = np.divmod(np.arange(_AROUND * _RINGS), _AROUND)
-    if light.radius_mm > 0:
-        ring, number = np.divmod(np.arange(_AROUND * _RINGS // 7), _AROUND)
-    q = (ring + 0.5) / (ring[-1] + 1)
-    turn = 2 * np.pi / _AROUND * (number + ring * _GOLDEN)
-    pattern = np.sqrt(q / (1 - q)) * np.stack([np.cos(turn), np.sin(turn)])
-    middles, local = project_with_jacobian(place.reshape(-1, 3), *scene.optics)
-    area = np.sqrt(np.maximum(np.linalg.det(local @ np.swapaxes(local, 1, 2)), 0))
-    power *= area.reshape(power.shape) * np.linalg.det(axes)[:, None] ** 2 / len(q)
-    power = np.where(np.isfinite(middles[:, 0]).reshape(power.shape), power, 0.0)
+    # A pixel's light is what comes from the area that it sees.
+    local = jacobian[which]
+    area = np.sqrt(np.linalg.det(local @ np.swapaxes(local, 1, 2)))
+    power *= (area * np.linalg.det(axes) ** 2)[:, None]
+    # Normals of facets about that place's, in rings, each standing for the same share of them.
+    rings = np.arange(_RINGS if light.radius_mm == 0 else 1)
+    turn = 2 * np.pi / _AROUND * (np.arange(_AROUND) + _GOLDEN * rings[:, None])
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=2)
     one = _unit(np.cross(normal, [1.0, 0.0, 0.0]))
-    frames = np.stack([one, np.cross(normal, one), normal, _unit(towards)], axis=2)
+    frames = np.stack([one, np.cross(normal, one), normal, towards], axis=2)
     tints = np.broadcast_to(light.tints()[0], (3, power.shape[1]))
     picture = np.zeros((camera.height_px, camera.width_px, 3), np.float32)
-    middles = np.nan_to_num(middles).reshape(*power.shape, 2)
-    local = local.reshape(*power.shape, 2, 3)
-    places = (centres, place, axes, middles, local)
-    _draw(pattern, roughness[:, 0], frames, view[:, 0], power, *places, tints, picture)
+    seen_at = (view[:, 0], axes, places_px[which], local)
+    _draw(around, roughness[:, 0], frames, power, *seen_at, tints, picture)
     return (1 - np.float32(light.ambient)) * picture
 
 
 @njit(cache=True, nogil=True)
 def _draw(
-    pattern: Floats,
+    around: Floats,
     roughness: Floats,
     frames: Floats,
-    view: Points,
     power: Floats,
-    centres: Points,
-    place: Floats,
+    view: Points,
     axes: Floats,
     middles: Floats,
     local: Floats,
     tints: Floats,
     picture: Singles,
 ) -> None:
-    """Add every highlight's samples to the (height, width, 3) ``picture``.
+    """Add every highlight's samples to the (height, width, 3) ``picture``, each in the pixel where
+    the surface has its normal.
 
-    A ``pattern`` (2, samples) of slopes is that of roughness 1. The rows of ``frames`` (n, leds, 4,
-    3) are two tangents, the normal and the way to the LED; ``local`` is the projection's Jacobian
-    at ``place``, seen at ``middles``.
+    ``around`` (rings, samples, 2) are directions of unit length. The rows of
+    ``frames`` (n, leds, 4, 3) are two tangents, the normal and the way to the LED; ``local`` is the
+    projection's Jacobian at the markers' ``middles``.
     """
     height, width, _ = picture.shape
     facet = np.empty(3)
     turned = np.empty(3)
-    aside = np.empty(3)
     for i, led in np.ndindex(power.shape):
         if power[i, led] <= 0:
             continue
-        alpha = roughness[i]
         frame = frames[i, led]
-        for k in range(pattern.shape[1]):
-            s = alpha * pattern[0, k]
-            t = alpha * pattern[1, k]
-            cosine = 1 / np.sqrt(1 + s * s + t * t)
-            for c in range(3):
-                facet[c] = cosine * (frame[2, c] + s * frame[0, c] + t * frame[1, c])
-            # What facets shadow and hide of each other is off (Smith).
-            lit = facet[0] * frame[3, 0] + facet[1] * frame[3, 1] + facet[2] * frame[3, 2]
-            seen = facet[0] * view[i, 0] + facet[1] * view[i, 1] + facet[2] * view[i, 2]
-            if lit <= 0 or seen <= 0:
-                continue
-            share = power[i, led] / cosine
-            share *= 2 / (1 + np.sqrt(1 + alpha * alpha * max(1 / (lit * lit) - 1, 0.0)))
-            share *= 2 / (1 + np.sqrt(1 + alpha * alpha * max(1 / (seen * seen) - 1, 0.0)))
-            # Where the ellipsoid has this normal, and 1 / K there.
-            square = 0.0
-            for c in range(3):
-                turned[c] = (
-                    axes[i, 0, c] * facet[0] + axes[i, 1, c] * facet[1] + axes[i, 2, c] * facet[2]
-                )
-                square += turned[c] * turned[c]
-            share /= square * square
-            length = np.sqrt(square)
-            for c in range(3):
-                moved = (
-                    axes[i, c, 0] * turned[0]
-                    + axes[i, c, 1] * turned[1]
-                    + axes[i, c, 2] * turned[2]
-                )
-                aside[c] = centres[i, c] + moved / length - place[i, led, c]
-            column = middles[i, led, 0]
-            row = middles[i, led, 1]
-            for c in range(3):
-                column += local[i, led, 0, c] * aside[c]
-                row += local[i, led, 1, c] * aside[c]
-            x = int(np.floor(column + 0.5))
-            y = int(np.floor(row + 0.5))
-            if 0 <= x < width and 0 <= y < height:
+        # Semi-axes in the picture.
+        mapped = local[i] @ axes[i]
+        for ring in range(len(around)):
+            q = (ring + 0.5) / len(around)
+            tangent = roughness[i] * np.sqrt(q / (1 - q))
+            cosine = 1 / np.sqrt(1 + tangent * tangent)
+            share = power[i, led] / (cosine * around[..., 0].size)
+            for number in range(around.shape[1]):
+                s = tangent * around[ring, number, 0]
+                t = tangent * around[ring, number, 1]
+                lit = 0.0
+                seen = 0.0
                 for c in range(3):
-                    picture[y, x, c] += np.float32(share * tints[c, led])
+                    facet[c] = cosine * (frame[2, c] + s * frame[0, c] + t * frame[1, c])
+                    lit += facet[c] * frame[3, c]
+                    seen += facet[c] * view[i, c]
+                if lit <= 0 or seen <= 0:
+                    continue
+                square = 0.0
+                for c in range(3):
+                    turned[c] = 0.0
+                    for d in range(3):
+                        turned[c] += axes[i, d, c] * facet[d]
+                    square += turned[c] * turned[c]
+                inverse = 1 / np.sqrt(square)
+                column = middles[i, 0] + 0.5
+                row = middles[i, 1] + 0.5
+                for c in range(3):
+                    column += mapped[0, c] * turned[c] * inverse
+                    row += mapped[1, c] * turned[c] * inverse
+                x = int(np.floor(column))
+                y = int(np.floor(row))
+                if 0 <= x < width and 0 <= y < height:
+                    for c in range(3):
+                        picture[y, x, c] += np.float32(share / (square * square) * tints[c, led])
 
 
 def _unit(vectors: Floats) -> Floats:
