@@ -1,5 +1,6 @@
 """What is given to the Python interface by mistake is told in the field's terms, before anything is computed."""
 
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -92,3 +93,10 @@ def test_a_run_writes_over_its_own_files_only(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds truth\.npz, scene\.toml, which no run wrote"):
         run_to_folder(scene, tmp_path, {"displacement"})
     assert (tmp_path / "scene.toml").read_text() == "mine"
+
+
+def test_a_descriptions_signature_holds_names_and_defaults() -> None:
+    assert str(inspect.signature(twin.Sphere)) == "(*, kind='sphere', diameter_mm)"
+    shown = inspect.signature(twin.Scene).parameters
+    assert set(shown) == set(twin.Scene.model_fields) - {"source", "assumed"}
+    assert shown["markers"].default == {}

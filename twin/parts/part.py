@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from functools import cache
+from inspect import Parameter, Signature
 from typing import Annotated, Any, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -125,6 +126,24 @@ class Part(BaseModel):
     # Whole files are validated without a call of this constructor, so that their complaints can
     # name the file's keys.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Give the class a signature that can be read: keys and defaults, without types."""
+        super().__pydantic_init_subclass__(**kwargs)
+        shown = {k: f for k, f in cls.model_fields.items() if k not in ("source", "assumed")}
+        cls.__signature__ = Signature(
+            [
+                Parameter(
+                    key,
+                    Parameter.KEYWORD_ONLY,
+                    default=Parameter.empty
+                    if one.is_required()
+                    else one.get_default(call_default_factory=True),
+                )
+                for key, one in shown.items()
+            ]
+        )
 
     @model_validator(mode="before")
     @classmethod
