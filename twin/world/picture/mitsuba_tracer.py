@@ -75,7 +75,7 @@ class MitsubaTracer:
             self._mi.set_variant(self._variant)
 
     def shade(self, job: PictureJob) -> tuple[Singles, Singles]:
-        """See `twin.world.picture.picture_job.Shader`."""
+        """See `twin.world.picture.render.RENDERERS`."""
         if not len(job.pixels):
             return np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
         # Upload the scene: markers a little larger than they are, which all rays look for.

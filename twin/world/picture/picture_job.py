@@ -1,10 +1,10 @@
 """The job of one picture: markers, virtual lamps, and which of them meet in which pixel.
 
 A job has everything that depends on where the markers are, in the renderer's units, whichever
-renderer draws it (`Shader`). Two searches spare the renderer its own. Each pixel has a list of the
-markers whose outlines come near, from the projection's Jacobian at each centre. Each marker and
-lamp have a list of the markers that may stand between them: one marker in three has another before
-an LED, and then mostly one or two.
+renderer of `twin.world.picture.render` draws it. Two searches spare the renderer its own. Each
+pixel has a list of the markers whose outlines come near, from the projection's Jacobian at each
+centre. Each marker and lamp have a list of the markers that may stand between them: one marker in
+three has another before an LED, and then mostly one or two.
 
 Units: the median marker radius is 1, and z = 0 lies just behind all markers.
 """

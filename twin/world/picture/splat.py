@@ -124,7 +124,7 @@ class Splat:
         self._ambient = ambient
 
     def shade(self, job: PictureJob) -> tuple[Singles, Singles]:
-        """See `twin.world.picture.picture_job.Shader`."""
+        """See `twin.world.picture.render.RENDERERS`."""
         return self.look(job)[:2]
 
     def look(self, job: PictureJob, *, bright: bool = True) -> tuple[Singles, Singles, Outlines]:
