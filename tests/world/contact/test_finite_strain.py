@@ -64,7 +64,8 @@ def deeper(case):
         pytest.param(
             case,
             marks=[] if case["force_n"] == 3.0 else [pytest.mark.slow],
-            id=f"{case['kind']}-{case.get('edge_mm', 0)}-{case['force_n']}-{case.get('law', 'neo_hookean')}",
+            id=f"{case['kind']}-{case.get('edge_mm', 0)}-{case['force_n']}-{case.get('law', 'neo_hookean')}"
+            + f"-{case.get('thick_mm', 40)}",
         )
         for case in TRUTH["cases"]
     ],
@@ -73,10 +74,13 @@ def test_difference_to_linear_theory_is_that_of_another_code(case):
     """The slab is round and ends 47.5 mm away, the block 45 and 50: that is part of the 0.04 %."""
     size = {key: case[key] for key in ("diameter_mm", "edge_mm", "apex_deg", "tip_mm") if key in case}
     press = twin.Press(probe=PROBES[case["kind"]](**size), force_n=(0, 0, case["force_n"]))
-    straight = made("linear").press(press)
-    sensor = made(case.get("law", "neo_hookean"), **{"material.law_ratios": case.get("ratios", ())})
+    thick = case.get("thick_mm", 40.0)
+    places = PLACES * [1.0, 1.0, min(1.0, thick / 8.0)]
+    straight = made("linear", **{"body.thickness_mm": thick}).press(press)
+    rubber = {"material.law_ratios": case.get("ratios", ()), "body.thickness_mm": thick}
+    sensor = made(case.get("law", "neo_hookean"), **rubber)
     state = sensor.press(press)
-    left, missed = off(case, state.load.strained, PLACES)
+    left, missed = off(case, state.load.strained, places)
     rounded = 4e-4 if case.get("edge_mm") == 0.05 else 0.0  # solved with a rim of 0.1 mm
     assert left < 2.5e-4 + case["own_error"] + rounded < missed / 10
     assert left < state.error.strain.markers + case["own_error"] < 1e-3
@@ -86,8 +90,10 @@ def test_difference_to_linear_theory_is_that_of_another_code(case):
     )
     assert state.force_n == pytest.approx([0.0, 0.0, case["force_n"]], abs=1e-9)
     assert state.move_mm[2] == pytest.approx(state.indentation_mm, rel=1e-9)
-    added = sensor.displacement(PLACES, state) - made("linear").displacement(PLACES, straight)
-    assert added == pytest.approx(state.load.strained.displacement(PLACES), abs=1e-9)
+    added = sensor.displacement(places, state) - made("linear", **{"body.thickness_mm": thick}).displacement(
+        places, straight
+    )
+    assert added == pytest.approx(state.load.strained.displacement(places), abs=1e-9)
 
 
 @pytest.mark.parametrize("force", [3.0, 6.0])
@@ -146,8 +152,8 @@ def test_load_steps_end_where_one_step_does_and_solve_presses_that_fail_at_once(
         made().press(heavy)
 
 
-def test_press_elsewhere_and_of_other_units_is_the_same_press():
-    """Moved along the face; E, force 1 and 1 or 0.2 and 0.2."""
+def test_press_elsewhere_of_other_units_and_of_another_size_is_the_same_press():
+    """Moved along the face; E, force 1 and 1 or 0.2 and 0.2; all lengths an eighth: nothing has a length of its own."""
     press = twin.Press(probe=BALL, force_n=(0, 0, 3.0))
     there = twin.Press(probe=BALL, force_n=(0, 0, 0.6), at_mm=(6.0, -5.0))
     states = made().press(press), made(**{"material.youngs_modulus_mpa": 0.2}).press(there)
@@ -158,6 +164,11 @@ def test_press_elsewhere_and_of_other_units_is_the_same_press():
     inside = moved[1:9] + np.array([0.0, 0.3, 0.1])
     slope = [more[1].displacement(inside + h) - more[1].displacement(inside - h) for h in step]
     assert more[1].gradient(inside) == pytest.approx(np.stack(slope, axis=2) / 2e-5, abs=1e-7)
+    block = made().nominal.body
+    sides = {f"body.{name}_mm": getattr(block, f"{name}_mm") / 8 for name in ("width", "length", "thickness")}
+    ball = twin.Press(probe=Sphere(diameter_mm=0.75), force_n=(0, 0, 3.0 / 64))
+    small = made(**sides).press(ball).load.strained
+    assert 8 * small.displacement(PLACES / 8) == pytest.approx(more[0].displacement(PLACES), abs=2e-5)
 
 
 def test_every_step_of_a_path_has_its_own_strain():

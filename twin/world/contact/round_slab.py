@@ -15,7 +15,8 @@ along z.
 
 In the linear solution g is measured at the undeformed place, as `twin.world.contact.pressing` does,
 in the other one at the deformed place, with forces along the probe's normal. The springs k are a
-film of rubber 2 um thick on the probe, in both. The probe's place is an unknown.
+film of rubber on the probe, a 3000th of the contact's radius thick, in both. The probe's place is
+an unknown.
 
 **Steps.** Newton's, with an active set of points. Those of the linear solution begin at the
 indentation and the contact of `pressing`, those of the other one at the linear solution.
@@ -57,14 +58,15 @@ from twin.world.contact.probe_gap import MOTIONS, Approach, Shape, Z
 from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import LEAST_POISSON
 
-_SPRING = 500.0
-_GAP_WEIGHT = 2.0
-"""Pressure per overlap, and what a pressure is weighed against a gap with, over Young's modulus,
-1/mm."""
+_SPRING = 3000.0
+_GAP_WEIGHT = 4.0
+"""Pressure per overlap, and what a pressure is weighed against a gap with, times the contact's
+radius over Young's modulus."""
 
 _LEAST_EDGE = 0.02
-"""Least radius of a cylinder's rim over its diameter: a sharper one is solved with this radius, on
-which what linear theory leaves out hardly depends (docs/validity.md)."""
+_LEAST_OF_THICKNESS = 0.01
+"""Least radius of a cylinder's rim, over its diameter and over the slab's thickness: a sharper one
+is solved with the smaller of both."""
 
 _FLAT = 0.75
 """Radius of a cylinder's flat middle over the contact's from which on the mesh follows the rim."""
@@ -82,22 +84,27 @@ _AT_END = 4
 _ON_RIM = 6
 _RIM_LENGTH = 0.025
 _GROWTH = 1.4
-_LARGEST = 0.12
+_LARGEST = 0.08
+_DEEPEST = 0.2
 """Elements where the contact may end; those along a cylinder's rim, at least, and their largest
-length over its radius; the growth of the others away from there, and the largest length inside,
-over the radius where the contact may end."""
+length over its radius; the growth of the others away from there, the largest length inside, over
+the radius where the contact may end, and the largest height over the slab's, as thin rubber shears
+most where it is held."""
 
 _FITTED = 4
-_BEYOND = 0.02
+_BEYOND = 0.05
 """Borders of elements from which the contact's end is extrapolated, and the least share of the
 force beyond them."""
 
 _COARSER = 0.7
-_ERROR_OVER_CHANGE = 0.4, 1.5
+_ERROR_OVER_CHANGE = 0.5
+_CONE_OVER_CHANGE = 1.0
+_RIM_OVER_CHANGE = 0.7, 1.5
 _LEAST_ERROR = 1e-4
 """How many times as many elements the mesh has that estimates the error; error over the change to
-it, under spheres and cones and under cylinders; and what is added: the springs' film is in both,
-and the change may be small by chance. Fitted to presses whose error is known (docs/validity.md)."""
+it, under spheres, under cones, whose tip ends inside an element, and under cylinders whose rim is
+solved as it is or rounder; and what is added: the springs' film is in both, and the change may be
+small by chance. Fitted to presses whose error is known (docs/validity.md)."""
 
 _TOLERANCE = 1e-5
 _STEPS = 20
@@ -258,27 +265,29 @@ class SlabStrain(FiniteStrain):
         self._axis = place[:Z]
         self._approach = approach
         self._rim = None
-        probe = press.probe
-        is_cylinder = isinstance(probe, Cylinder)
-        if isinstance(probe, Cylinder):
-            flat = probe.diameter_mm / 2.0 - probe.edge_mm
-            self._rim = probe if flat > _FLAT * state.contact_radius_mm else None
         self._material = material
         self._coarse = coarse
         low, high = np.array(body.bounds_mm)
-        self._thick_mm = float(high[Z] - low[Z])
         across, along, _ = high - low
+        self._thick_mm = float(high[Z] - low[Z])
+        over_change = _ERROR_OVER_CHANGE
+        probe = press.probe
+        if isinstance(probe, Cylinder):
+            flat = probe.diameter_mm / 2.0 - probe.edge_mm
+            self._rim = probe if flat > _FLAT * state.contact_radius_mm else None
+            over_change = _RIM_OVER_CHANGE[probe.edge_mm < self._least_edge_mm(probe)]
+        elif isinstance(probe, Cone):
+            over_change = _CONE_OVER_CHANGE
         if len(watched) == 0:  # as deep as the contact is wide, from the axis to thrice its radius
-            deep = state.contact_radius_mm
-            watched = np.tile([*self._axis, deep], (13, 1))
-            watched[:, 0] += deep * np.linspace(0.0, 3.0, 13)
+            size = state.contact_radius_mm
+            watched = np.tile([*self._axis, min(size, self._thick_mm / 2.0)], (13, 1))
+            watched[:, 0] += size * np.linspace(0.0, 3.0, 13)
 
         def solve(coarser: bool) -> Solutions:
             # The coarser slab ends at the block's nearest side.
             wide = _to_side_mm(body, place) if coarser else math.sqrt(across * along / math.pi)
             return self._solved(state, _COARSER if coarser or coarse else 1.0, wide)
 
-        over_change = _ERROR_OVER_CHANGE[is_cylinder]
         super().__init__((approach.axes,), state, watched, solve, over_change, _LEAST_ERROR)
 
     @staticmethod
@@ -297,6 +306,9 @@ class SlabStrain(FiniteStrain):
             >= _FROM_SIDES * state.contact_radius_mm
         )
 
+    def _least_edge_mm(self, probe: Cylinder) -> float:
+        return min(_LEAST_EDGE * probe.diameter_mm, _LEAST_OF_THICKNESS * self._thick_mm)
+
     def _solved(self, state: ContactState, share: float, radius_mm: float) -> Solutions:
         """Return both solutions on a slab of a radius, in so large a share of the elements."""
         size = state.contact_radius_mm
@@ -308,7 +320,7 @@ class SlabStrain(FiniteStrain):
         else:
             # The coarser solution's sharp rim is twice as round: it shows what the rounding costs.
             edge = self._rim.edge_mm
-            least = _LEAST_EDGE * self._rim.diameter_mm
+            least = self._least_edge_mm(self._rim)
             if edge < least:
                 edge = least if share == 1.0 else 2.0 * least
                 approach = approach.with_edge(edge)
@@ -318,7 +330,7 @@ class SlabStrain(FiniteStrain):
             count = max(_ON_RIM, math.ceil(edge / (_RIM_LENGTH * high)))
         grid = Grid.graded((low, high), count, reach, share, radius_mm, self._thick_mm)
         slab = Slab(grid, self._material)
-        touch = _Touch(grid, approach.shape)
+        touch = _Touch(grid, approach.shape, size)
         force = float(state.force_n[Z]) / self._material.youngs_modulus_mpa
         none = np.zeros(len(touch.rest_mm))
         start = _Balance(np.zeros(slab.size), state.indentation_mm, none, touch.rest_mm < size)
@@ -422,7 +434,8 @@ class Grid:
         outer = high + _growing(first, growth, radius_mm - high)[1:]
         r_mm = np.concatenate([inner, between, outer])
         touching = int(np.searchsorted(r_mm, reach_mm))
-        return cls(r_mm, _growing(first, growth, thick_mm), touching)
+        z_mm = _growing(first, growth, thick_mm, _DEEPEST * thick_mm / share)
+        return cls(r_mm, z_mm, touching)
 
     @cached_property
     def shape(self) -> tuple[int, int]:
@@ -565,9 +578,12 @@ class Slab(MixedRubber):
 
 
 class _Touch:
-    """The integration points (q,) of the slab's surface that a probe may touch."""
+    """The integration points (q,) of the slab's surface that a probe may touch, and the springs
+    between them, for a contact of a size."""
 
-    def __init__(self, grid: Grid, shape: Shape) -> None:
+    def __init__(self, grid: Grid, shape: Shape, size_mm: float) -> None:
+        self.spring = _SPRING / size_mm
+        self.gap_weight = _GAP_WEIGHT / size_mm
         r = grid.r_mm[: grid.touching + 1]
         half = np.diff(r) / 2.0
         self.rest_mm = (r[:-1, None] + half[:, None] * (1.0 + _PLACES)).ravel()
@@ -633,7 +649,7 @@ class _Balance:
 def _stepped(slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear: bool) -> _Balance:
     """Return the state after one Newton step of slab, probe and pressures together."""
     gap, push, curvature = touch.gaps(slab.displacement(state.unknowns), state.place, linear=linear)
-    weighed = state.pressure - _GAP_WEIGHT * (gap + state.pressure / _SPRING)
+    weighed = state.pressure - touch.gap_weight * (gap + state.pressure / touch.spring)
     active = weighed > 0.0 if state.pressure.any() else state.active
     active = active & np.isfinite(gap)
     if not active.any():
@@ -650,12 +666,12 @@ def _stepped(slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear
         spread = np.einsum("qa,qi->qai", weight, forces)
         return gathered(row, spread, slab.size)
 
-    spring = _SPRING * push[:, :, None] * push[:, None, :]
-    spring[:, 0, 0] -= state.pressure[on] * curvature[on]
-    spring *= area[:, None, None]
-    block = np.einsum("qa,qb,qij->qaibj", weight, weight, spring).reshape(len(on), 6, 6)
-    own = right + nodal(-(_SPRING * gap[on] * area)[:, None] * push)
-    follow = nodal(-(_SPRING * area)[:, None] * push)
+    block = touch.spring * push[:, :, None] * push[:, None, :]
+    block[:, 0, 0] -= state.pressure[on] * curvature[on]
+    block *= area[:, None, None]
+    block = np.einsum("qa,qb,qij->qaibj", weight, weight, block).reshape(len(on), 6, 6)
+    own = right + nodal(-(touch.spring * gap[on] * area)[:, None] * push)
+    follow = nodal(-(touch.spring * area)[:, None] * push)
     springs = summed(block, row, slab.size)
     both = slab.solve(tangent + springs, np.column_stack([own, follow]))
 
@@ -663,8 +679,8 @@ def _stepped(slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear
         moved = slab.displacement(step)[touch.nodes[on]]
         return np.asarray(np.einsum("qi,qa,qai->q", push, weight, moved))
 
-    still = -_SPRING * (gap[on] + closed(both[:, 0]))
-    per_motion = _SPRING * (1.0 + closed(both[:, 1]))
+    still = -touch.spring * (gap[on] + closed(both[:, 0]))
+    per_motion = touch.spring * (1.0 + closed(both[:, 1]))
     motion = float((force - area @ still) / (area @ per_motion))
     pressure = np.zeros(len(active))
     pressure[on] = still + motion * per_motion
