@@ -12,11 +12,12 @@ Units: the median marker radius is 1, and z = 0 lies just behind all markers.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Bools, Floats, Ints, Pixels
+from twin.arrays import Bools, Floats, Ints, Pixels, Singles
 from twin.compiled import njit
 from twin.parts.scene import Scene
 from twin.theory.optics import project_with_jacobian
@@ -214,6 +215,14 @@ class PictureJob:
             occluder_members=occluder_members,
             colour=markers.colour,
         )
+
+
+class Shader(Protocol):
+    """A renderer of jobs, made for one `View`."""
+
+    def shade(self, job: PictureJob) -> tuple[Singles, Singles]:
+        """Return (m, 3) light from markers in the job's pixels, 1 for white in the brightest
+        marker's place, and (m,) the share of each pixel that they leave free."""
 
 
 def occluders(

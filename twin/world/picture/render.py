@@ -15,7 +15,7 @@ import importlib
 import os
 from collections.abc import Callable
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,22 +29,13 @@ from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.highlights import highlights
 from twin.world.picture.lamps import Lamps
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
-from twin.world.picture.picture_job import PictureJob
+from twin.world.picture.picture_job import PictureJob, Shader
 from twin.world.picture.splat import Outlines, Splat
 
 if TYPE_CHECKING:
     from twin.world.picture.path_tracer import PathTracer
 
-
-class _Shader(Protocol):
-    """A renderer of jobs, made for one `View`."""
-
-    def shade(self, job: PictureJob) -> tuple[Singles, Singles]:
-        """Return (m, 3) light from markers in the job's pixels, 1 for white in the brightest
-        marker's place, and (m,) the share of each pixel that they leave free."""
-
-
-RENDERERS: dict[str, Callable[[View, float, float], _Shader]] = {
+RENDERERS: dict[str, Callable[[View, float, float], Shader]] = {
     "splat": Splat,
     "llvm_ad_rgb": partial(MitsubaTracer, "llvm_ad_rgb"),
     "cuda_ad_rgb": partial(MitsubaTracer, "cuda_ad_rgb"),
@@ -203,7 +194,7 @@ class Renderer:
         return self._gain / self._top
 
     @cached_property
-    def _shader(self) -> _Shader:
+    def _shader(self) -> Shader:
         """What draws the markers; the splat of the outlines, if the splat draws them."""
         if self.variant.name == "splat":
             return self._splat
