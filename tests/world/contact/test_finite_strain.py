@@ -127,6 +127,14 @@ def test_sharp_rim_is_the_limit_of_sharper_and_sharper_ones():
     assert state.validity.linearisation_error == pytest.approx(0.0081, rel=0.2)
 
 
+def test_rubber_thinner_than_its_contact_states_an_error_without_markers():
+    """Places as deep as the contact is wide lie below it, where nothing moves."""
+    press = twin.Press(probe=Cone(apex_deg=140, diameter_mm=14, tip_mm=1), force_n=(0, 0, 6.0))
+    state = made(**{"body.thickness_mm": 2.0}).press(press)
+    assert state.contact_radius_mm > 2.0
+    assert 1e-4 < state.error.strain.markers < state.validity.linearisation_error < 0.5
+
+
 def test_load_steps_end_where_one_step_does_and_solve_presses_that_fail_at_once(monkeypatch):
     """Under 6 N on a fairly sharp cylinder Newton's steps from the linear solution do not converge."""
     probe = Cylinder(diameter_mm=5, edge_mm=0.2)
