@@ -108,6 +108,12 @@ DENTED = 1.6
 """Least ``trust`` on flat bodies with dents: at an edge that is folded inwards stress is singular,
 and meshes of twice the unknowns leave more than half of the error."""
 
+TRIANGLES = 1.4
+"""Shares of curved surfaces given by triangles, which aren't refined under narrow loads, over those
+of others. Without that the estimate was 0.96 to 1.02 times the difference to the finest level on a
+pad with fillets under bumps of 0.3 to 0.6 mm radius, and 0.74 to 3.0 on a cap under those of 2.4 to
+3.7 mm, 0.1 mm deep."""
+
 _REACH = 1.0 / np.sqrt(3.0)
 """How far from its centre a rectangle is taken to be, over its half diagonal: as far as its 2 x 2
 Gauss points."""
@@ -246,4 +252,7 @@ def error_shares(
         trust = max(trust, DIRECT_TRUST)
     if body.is_flat and not body.is_convex:
         trust = max(trust, DENTED)
-    return trust, law.rough, unseen + unbounded(body, load)
+    rough = law.rough
+    if not body.is_flat and body.own_surface is not None:
+        trust, rough = TRIANGLES * trust, TRIANGLES * rough
+    return trust, rough, unseen + unbounded(body, load)
