@@ -538,8 +538,9 @@ def _direct_fields(
 ) -> Floats:
     """Return (N, 3, m) displacement fields in mm for E = 1 MPa under m loads, without a half-space.
 
-    Each rectangle acts at a grid of points, moved onto the surface; totals are kept. Raises an
-    `InputError` where a load misses the surface.
+    For soft covers, and as an independent check: it resolves only loads wider than the mesh's
+    faces. Each rectangle acts at a grid of points, moved onto the surface; totals are kept. Raises
+    an `InputError` where a load misses the surface.
     """
     forces = [_consistent_forces(body, system.mesh, locator, load) for load in loads]
     return system.solve(np.stack(forces, axis=2))

@@ -21,9 +21,6 @@ off it on the finger, so deep that a narrow load's whole flux comes through the 
 
 Validity: on a curved body a narrow twist is two nearly cancelling forces that grow like 1 / radius,
 and so do the quadrature's errors: twists of 0.3 mm radius and less are 1 to 4 % off there.
-
-`direct_fields` is plain Taylor-Hood without the half-space, for soft covers and as an independent
-check: it resolves only loads wider than the mesh's faces.
 """
 
 from __future__ import annotations
