@@ -178,6 +178,10 @@ brightness, change by chance (49 of 50, 89 of 90). What exceeds this is stated."
 SHRINKS = 1.5
 """Standard deviations of a radius up to which a marker has become smaller by chance."""
 
+LOST_MOVES = 0.7
+"""By which share of its radius a marker's centre moves at least, over the share of its light that
+something straight hides: of a disc's area by .86 to .9, of fits under JPEG by .65 to .9."""
+
 TILTS = 0.5
 """Share of the motion by a changed slope of brightness that is an error of the centre: of beads in
 a block .25, of prints in shadow on the finger .6 to .85."""
@@ -538,10 +542,23 @@ class DiscFit(SoftWindow):
         # `_judge` refuses what hides too much; good fits it takes for whole ones.
         refused = rows[hides | cut[rows]]
         fitted[refused, SHORTFALL], fitted[refused, FITTING] = 1.0, 0.0
-        part[:, [SCALE, FITTING]], part[:, [SHORTFALL, DIFFERENCE]] = 1.0, 0.0
+        part[:, [SCALE, FITTING]], part[:, SHORTFALL] = 1.0, 0.0
+        part[:, DIFFERENCE] = 0.0
+        if templates.coherent:  # a part was left out, but is it the one that is hidden?
+            lost = self._light_lost(fitted, fine)[rows] * ~cut[rows]
+            lacks = np.fmax(LOST_MOVES * radius[rows] * lost - moved, 0.0)
+            part[:, DIFFERENCE] = lacks / np.sqrt(2.0)
         part[:, EDGE] = np.where(part[:, EDGE] < WHOLE_EDGE, LEAST_EDGE, 1.0)
         part[:, RESHAPED] = PART_IN_SIGHT
         fitted[rows[good]] = part[good]
+
+    def _light_lost(self, fitted: Floats, fine: Bools) -> Floats:
+        """Return (n,) by which share markers have less light than the ``fine`` ones (n,), beyond
+        chance: brightness times area, since rest."""
+        rest = self.templates.rest
+        light = fitted[:, LEVEL] * fitted[:, SCALE] ** 2 / (rest[:, LEVEL] * rest[:, SCALE] ** 2)
+        low, middle, high = _quantiles(np.where(fine, light, np.nan), 0.25, 0.5, 0.75)
+        return np.asarray(np.fmax(1.0 - (light + SHRINKS * NORMAL * (high - low)) / middle, 0.0))
 
     def _from_last(self, picture: Picture, last_px: Pixels) -> Seen | None:
         """Fit around the last places, then once more where the neighbours' motion predicts; None
@@ -601,21 +618,25 @@ class DiscFit(SoftWindow):
             factor = max(coherence, factor) if factor > 1.0 else coherence
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
-        cut = self._unseen_cut(fitted, factor * sd)
+        cut = self._unseen_cut(fitted, sd, factor)
         sd = np.sqrt(_edge_sds(fitted, templates, rest_sd, sd, factor) ** 2 + cut)
         return Seen(shift_px=shift, sd_px=sd, state=state, coherence=factor)
 
-    def _unseen_cut(self, fitted: Floats, sd: Floats) -> Floats:
+    def _unseen_cut(self, fitted: Floats, sd: Floats, factor: float) -> Floats:
         """Return (n,) the variance of shifts, per axis, px^2, of a cut that looks like less size.
 
         What hides a narrow part on one side moves a fitted centre by twice as much as it makes the
         mean radius smaller: the edge's displacement there has twice the first harmonic that it has
         of the mean. Where blur hides that the edge is uneven, nothing else shows. So a marker that
-        has shrunk more than its neighbours, beyond what the noise ``sd`` (n,) of the shifts does to
-        a radius, may have moved less than measured.
+        has shrunk more than its neighbours, beyond what the noise does to a radius, may have moved
+        less than measured. ``sd`` (n,) is the shifts' by the noise, without its coherence
+        ``factor``.
         """
+        sd = factor * sd
         shape, rest = self.templates.shape, self.templates.rest
         shrunk = fitted[:, SCALE] / rest[:, SCALE]
+        if factor > COHERENT:  # compression may dim a marker instead: what is lost is light
+            shrunk *= np.sqrt(fitted[:, LEVEL] / rest[:, LEVEL])
         shrunk = np.sqrt(shape[:, 0] * shape[:, 2]) * (1.0 - shrunk)
         shrunk[~np.isfinite(sd)] = np.nan
         low, middle, high = _quantiles(shrunk, 0.25, 0.5, 0.75)
