@@ -44,6 +44,11 @@ STILL = 0.25
 """With more motion than this, in spacings, the shift must also be the one that leaves over the
 least: hidden markers are common, but so are they where nothing has moved."""
 
+SHARED = 0.95
+"""A pairing that has this share of the best one's pairs, and leaves over less by `PRIOR` standard
+deviations, is not ruled out by its longer motion: whole rows that have gone were hidden, or have
+moved out of the picture."""
+
 ASTRAY = 0.15
 """Share of the markers that may have moved unlike their neighbours: the spots of partly hidden
 markers lie off their centres."""
@@ -298,7 +303,12 @@ class Neighbourhood:
         others = [*rivals, *(p for p in tried if p is not best)]
         least = min((rival.left_over for rival in others), default=best.left_over)
         close = any(rival.cost < best.cost + RIVAL for rival in others)
-        return best.spot, close or (best.length > STILL and least < best.left_over)
+        found = SHARED * np.count_nonzero(best.spot >= 0)
+        left = [p.left_over for p in others if np.count_nonzero(p.spot >= 0) > found]
+        fewer = 2.0 * (np.sqrt(best.left_over) - np.sqrt(min(left, default=best.left_over)))
+        moved = best.length > STILL and least < best.left_over
+        unlike = best.unlike > ASTRAY * np.count_nonzero(search.known)
+        return best.spot, bool(close or moved or unlike or fewer > PRIOR)
 
 
 def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> Ints:
@@ -327,13 +337,15 @@ def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> In
 class _Pairing:
     """Which spot every marker is taken for: (n,) spots, -1 for none, (n, 2) motion; its mean
     length in spacings; how much that leaves over, how many of these are markers that have moved
-    unlike their neighbours, and what speaks against it in all."""
+    unlike their neighbours, how many with those that have no spot though as many spots have no
+    marker, and what speaks against it in all."""
 
     spot: Ints
     motion: Pixels
     length: float
     left_over: int
     astray: int
+    unlike: int
     cost: float
 
 
@@ -385,6 +397,7 @@ class _Search:
             length=mean,
             left_over=left_over,
             astray=astray,
+            unlike=astray + min(lost, strange),
             cost=2.0 * np.sqrt(left_over) + PRIOR * mean,
         )
 
