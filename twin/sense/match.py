@@ -49,6 +49,10 @@ SHARED = 0.95
 deviations, is not ruled out by its longer motion: whole rows that have gone were hidden, or have
 moved out of the picture."""
 
+COVERED = 0.4
+"""Of a layer of which more than this share is gone, it is covered: nothing moves by so much of the
+picture."""
+
 ASTRAY = 0.15
 """Share of the markers that may have moved unlike their neighbours: the spots of partly hidden
 markers lie off their centres."""
@@ -307,8 +311,10 @@ class Neighbourhood:
         left = [p.left_over for p in others if np.count_nonzero(p.spot >= 0) > found]
         fewer = 2.0 * (np.sqrt(best.left_over) - np.sqrt(min(left, default=best.left_over)))
         moved = best.length > STILL and least < best.left_over
-        unlike = best.unlike > ASTRAY * np.count_nonzero(search.known)
-        return best.spot, bool(close or moved or unlike or fewer > PRIOR)
+        known = np.count_nonzero(search.known)
+        unlike = best.unlike > ASTRAY * known
+        gone = fewer > PRIOR and search.lost(best) < COVERED * known
+        return best.spot, bool(close or moved or unlike or gone)
 
 
 def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> Ints:
