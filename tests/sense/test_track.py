@@ -79,13 +79,14 @@ def test_stated_variance_of_compressed_and_mosaic_pictures(camera, diameter):
     assert 1 / 1.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
 
 
-def test_compressed_red_markers_are_measured_by_their_brightness():
-    """JPEG keeps colours at half the resolution: in red alone .06 px."""
+def test_compressed_markers_are_measured_by_their_brightness():
+    """JPEG keeps colours at half the resolution: in red alone .06 px, in blue alone .068."""
     card, shift = Card(10.0), Card(10.0).shifts(3)
     found = track(jpeg(expose(card.draw(), 1)), jpeg(expose(card.draw(shift), 2)), card.layout)
-    error = (found.shift_px - shift)[: card.count]
-    assert np.sqrt(np.mean(error**2)) < 0.035
-    assert np.sqrt(np.mean((error / found.sd_px[: card.count, None]) ** 2)) < 1.6
+    error = found.shift_px - shift
+    for layer, largest in ((slice(card.count), 0.035), (slice(card.count, None), 0.06)):
+        assert np.sqrt(np.mean(error[layer] ** 2)) < largest
+        assert np.sqrt(np.mean((error / found.sd_px[:, None])[layer] ** 2)) < 1.6
 
 
 def test_light_from_one_side_does_not_shift_the_centres():

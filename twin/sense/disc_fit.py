@@ -95,9 +95,9 @@ from twin.sense.template import (
     slope_terms,
 )
 
-SMOOTHER = 0.8
-"""Brightness replaces a layer's colour where third harmonics of edges at rest (`_coherence`) are
-smaller by this factor."""
+SMOOTHER = 0.88
+"""Brightness, or both (`LayerSignal.brightness`), replaces a layer's colour where third harmonics
+of edges at rest (`_coherence`) are smaller by this factor."""
 
 RELIT = 5.0
 """Standard deviations of a marker's slope of brightness by which a change that all markers share
