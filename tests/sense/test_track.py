@@ -80,11 +80,11 @@ def test_stated_variance_of_compressed_and_mosaic_pictures(camera, diameter):
 
 
 def test_compressed_markers_are_measured_by_their_brightness():
-    """JPEG keeps colours at half the resolution: in red alone .06 px, in blue alone .068."""
-    card, shift = Card(10.0), Card(10.0).shifts(3)
+    """JPEG keeps colours at half the resolution: in red or blue alone .06 px."""
+    card, shift = Card(15.0), Card(15.0).shifts(3)
     found = track(jpeg(expose(card.draw(), 1)), jpeg(expose(card.draw(shift), 2)), card.layout)
     error = found.shift_px - shift
-    for layer, largest in ((slice(card.count), 0.035), (slice(card.count, None), 0.06)):
+    for layer, largest in ((slice(card.count), 0.035), (slice(card.count, None), 0.052)):
         assert np.sqrt(np.mean(error[layer] ** 2)) < largest
         assert np.sqrt(np.mean((error / found.sd_px[:, None])[layer] ** 2)) < 1.6
 
