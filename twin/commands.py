@@ -570,7 +570,7 @@ def check(
     errors of shifts and forces to expect, and whether the camera is good enough.
 
     Examples:
-    twin check my_scene.toml
+    twin check my_scene.toml -s material.poisson_ratio=0.45
     twin check out/kamiyama_pillar
     twin check rest1.png rest2.png --scene my_scene.toml
     twin check my_scene.toml --camera
@@ -598,7 +598,7 @@ def check(
     from twin.study.check import check_path
 
     with _scene_named(file):
-        print("\n".join(check_path(file)))
+        print("\n".join(check_path(file, _parsed(set_))))
 
 
 def doctor(*, json_: Json = False) -> None:

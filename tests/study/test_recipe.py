@@ -11,9 +11,9 @@ import jsonschema
 import numpy as np
 import pytest
 import trimesh
-from standard_bodies import write_stl
+from standard_bodies import REFERENCE, write_stl
 
-from twin.errors import RecipeError
+from twin.errors import InputError, RecipeError
 from twin.study.check import check_path
 from twin.study.recipe import dump_scene, load_scene, parse_override, shipped_scenes, validate_scene
 from twin.study.schema import SCHEMA_FILE
@@ -47,6 +47,15 @@ def test_a_number_without_provenance_is_noticed(tmp_path: Path) -> None:
     recipe = tmp_path / "mine.toml"
     recipe.write_text('base = "kamiyama_pillar"\n[markers.red]\ndepth_mm = 5.5\n')
     assert check_path(str(recipe))[-1] == "numbers without source or assumed: markers.red.depth_mm"
+
+
+def test_a_check_holds_for_the_scene_with_its_overrides() -> None:
+    with pytest.raises(RecipeError, match=r"ccd.haze = 2: must be less than"):
+        check_path("kamiyama_pillar", {"ccd.haze": 2})
+    with pytest.raises(RecipeError, match=r"ccd.haze = 2: must be less than"):
+        check_path("sweep_kamiyama_depth_pitch", {"ccd.haze": 2})
+    with pytest.raises(InputError, match=r"-s ccd.haze=... changes a scene, and this is none"):
+        check_path(str(REFERENCE / "opencv_camera.yml"), {"ccd.haze": 0.1})
 
 
 @pytest.mark.parametrize("name", SCENES)

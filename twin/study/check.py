@@ -16,8 +16,9 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,16 +34,23 @@ if TYPE_CHECKING:
     from twin.sense.track import Found
 
 
-def check_path(name: str) -> list[str]:
-    """Check a scene or a sweep (path or shipped name), a calibration file, OpenCV's file of a
-    camera, a result folder or a dataset.
+def check_path(name: str, overrides: Mapping[str, Any] | None = None) -> list[str]:
+    """Check a scene or a sweep (path or shipped name; ``overrides`` change keys of the scene), a
+    calibration file, OpenCV's file of a camera, a result folder or a dataset.
 
     Raises
     ------
     RecipeError, InputError
-        Something is wrong with it.
+        Something is wrong with it, or there is no scene that overrides could change.
     """
-    path = Path(name)
+    lines = _check_other(Path(name))
+    if lines is not None and overrides:
+        raise InputError(f"{name}: -s {min(overrides)}=... changes a scene, and this is none")
+    return _check_recipe(name, overrides) if lines is None else lines
+
+
+def _check_other(path: Path) -> list[str] | None:
+    """Check what is no recipe; None for a recipe."""
     if (path / "meta" / "info.json").is_file():
         from twin.study.dataset.audit import check_dataset
 
@@ -64,14 +72,18 @@ def check_path(name: str) -> list[str]:
         values = {key: list(value) if isinstance(value, tuple) else value for key, value in keys}
         lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]
         return [f'{path}: ok; [camera] intrinsics = "{path.name}" in a recipe means', *lines]
+    return None
+
+
+def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[str]:
     from twin.study.sensor import Sensor
 
     file = find_scene(name)
     if file.suffix == ".toml" and "axes" in read_recipe(file):
         from twin.study.sweep.sweep_run import looked_over
 
-        return looked_over(file)
-    scene = load_scene(name)
+        return looked_over(file, overrides)
+    scene = load_scene(name, overrides)
     Sensor(scene).actual  # noqa: B018  refuses a marker outside the body
     _mesh_own_body(scene)
     lines = [f"{file}: ok"]

@@ -830,9 +830,9 @@ def _measured(
     return each, begin, rows, how
 
 
-def looked_over(path: Path) -> list[str]:
+def looked_over(path: Path, overrides: Mapping[str, Any] | None = None) -> list[str]:
     """Return lines about a sweep file in which nothing is wrong; raises like `estimate`."""
-    sweep, scene = load_sweep(path)
+    sweep, scene = load_sweep(path, overrides)
     lines, good, designs = _overview(sweep, scene)
     if len(good):
         designs.scene_of(int(good[0]))
