@@ -49,6 +49,10 @@ SHARED = 0.95
 deviations, is not ruled out by its longer motion: whole rows that have gone were hidden, or have
 moved out of the picture."""
 
+TORN = 0.08
+"""If a larger share of the markers has no spot, though as many spots have no marker, the pairs that
+were found are not trusted."""
+
 COVERED = 0.4
 """Of a layer of which more than this share is gone, it is covered: nothing moves by so much of the
 picture."""
@@ -312,9 +316,9 @@ class Neighbourhood:
         fewer = 2.0 * (np.sqrt(best.left_over) - np.sqrt(min(left, default=best.left_over)))
         moved = best.length > STILL and least < best.left_over
         known = np.count_nonzero(search.known)
-        unlike = best.unlike > ASTRAY * known
+        torn = best.unpaired > TORN * known
         gone = fewer > PRIOR and search.lost(best) < COVERED * known
-        return best.spot, bool(close or moved or unlike or gone)
+        return best.spot, bool(close or moved or torn or gone)
 
 
 def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> Ints:
@@ -343,15 +347,15 @@ def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> In
 class _Pairing:
     """Which spot every marker is taken for: (n,) spots, -1 for none, (n, 2) motion; its mean
     length in spacings; how much that leaves over, how many of these are markers that have moved
-    unlike their neighbours, how many with those that have no spot though as many spots have no
-    marker, and what speaks against it in all."""
+    unlike their neighbours; how many markers have no spot though as many spots have no marker; and
+    what speaks against it in all."""
 
     spot: Ints
     motion: Pixels
     length: float
     left_over: int
     astray: int
-    unlike: int
+    unpaired: int
     cost: float
 
 
@@ -403,7 +407,7 @@ class _Search:
             length=mean,
             left_over=left_over,
             astray=astray,
-            unlike=astray + min(lost, strange),
+            unpaired=min(lost, strange),
             cost=2.0 * np.sqrt(left_over) + PRIOR * mean,
         )
 
