@@ -97,6 +97,9 @@ def test_errors_by_direction():
     only = scored(surface_force_n=pressed, true_force_n=pressed.sum(axis=0))
     assert only["field_error_tangential"] is None
     assert "field_error_tangential" in only["reasons"]
+    slanted = np.array([[0.02, 0, 1.0]] * 3)
+    hardly = scored(surface_force_n=slanted, true_force_n=slanted.sum(axis=0))
+    assert hardly["reasons"]["field_error_tangential"] == "less than 3% of the true field is in its tangential part"
 
 
 def test_tracking_numbers_and_hidden_markers():

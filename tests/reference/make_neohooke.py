@@ -18,7 +18,7 @@ from pathlib import Path
 
 import ngsolve as ng
 import numpy as np
-from netgen.libngpy._meshing import NgException
+from netgen.meshing import NgException
 from netgen.occ import Glue, MoveTo, OCCGeometry
 
 RADIUS, THICK, PENALTY = 47.5, 40.0, 4000.0

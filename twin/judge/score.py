@@ -22,6 +22,10 @@ bias and sd."""
 TIE_MM = 1e-6
 """Sites that differ by less in their distance to a surface piece share it."""
 
+LEAST_PART = 0.03
+"""A field's normal or tangential part that is a smaller share of it has no error of its own: on a
+slope a push without friction has a few percent along the surface of the sites."""
+
 LEAST_PUSH = 0.1
 """The centre of pressure is defined where the push along z is at least this share of the force."""
 
@@ -209,10 +213,10 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
     dict
         ``field_error`` |f^ - f|/|f| in the 2-norm, the truth summed into the cell of its nearest
         site; ``field_error_normal`` and ``field_error_tangential``, the same of these parts, each
-        over its own size; ``total_force_error`` |F^ - F|/|F| and ``total_force_error_axes``,
-        (F^ - F)/|F|; ``sites_force_error``, the same of the sum of the sites' forces, which is not
-        F^ where they are held to bounds; ``torque_error`` |T^ - T|/max(|T|, |F| 1 mm) and
-        ``torque_error_nmm`` |T^ - T|; ``centre_error_mm``, the distance in (x, y) of the push's
+        over its own size, None for one under `LEAST_PART`; ``total_force_error`` |F^ - F|/|F| and
+        ``total_force_error_axes``, (F^ - F)/|F|; ``sites_force_error``, the same of the sum of the
+        sites' forces, which is not F^ where they are held to bounds; ``torque_error`` |T^ - T| /
+        max(|T|, |F| 1 mm) and ``torque_error_nmm`` |T^ - T|; ``centre_error_mm``, the distance in (x, y) of the push's
         centres, sum fz (x, y)/sum fz (of the estimate only the sites above a fifth of the largest
         push). ``reasons``.
     """
@@ -252,7 +256,9 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
         result[key] = value
         if value is None:
             reasons[key] = (
-                f"the true field is zero{'' if part == 'all' else f' in its {part} part'}"
+                "the true field is zero"
+                if part == "all"
+                else f"less than {LEAST_PART:.0%} of the true field is in its {part} part"
             )
     # Error of the total force, from the linear solve and from the sum over the sites.
     if size > 0:
@@ -288,12 +294,12 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
 
 def _field_errors(error: Floats, truth: Floats, frames: Floats | None) -> dict[str, float | None]:
     """Return the size of a field's (k, 3) error over the truth's, in all, along the normal, and
-    tangentially; None where the truth is zero."""
+    tangentially; None where the truth is zero, or that part less than `LEAST_PART` of it."""
     if frames is not None:
         error, truth = (np.einsum("kij,kj->ki", frames, part) for part in (error, truth))
     parts = {"all": slice(0, 3), "normal": slice(2, 3), "tangential": slice(0, 2)}
     sizes = {name: float(np.linalg.norm(truth[:, part])) for name, part in parts.items()}
-    floor = 1e-12 * sizes["all"]
+    floor = LEAST_PART * sizes["all"]
     return {
         name: float(np.linalg.norm(error[:, part])) / sizes[name] if sizes[name] > floor else None
         for name, part in parts.items()
