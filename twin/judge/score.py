@@ -216,9 +216,9 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
         over its own size, None for one under `LEAST_PART`; ``total_force_error`` |F^ - F|/|F| and
         ``total_force_error_axes``, (F^ - F)/|F|; ``sites_force_error``, the same of the sum of the
         sites' forces, which is not F^ where they are held to bounds; ``torque_error`` |T^ - T| /
-        max(|T|, |F| 1 mm) and ``torque_error_nmm`` |T^ - T|; ``centre_error_mm``, the distance in (x, y) of the push's
-        centres, sum fz (x, y)/sum fz (of the estimate only the sites above a fifth of the largest
-        push). ``reasons``.
+        max(|T|, |F| 1 mm) and ``torque_error_nmm`` |T^ - T|; ``centre_error_mm``, the distance in
+        (x, y) of the push's centres, sum fz (x, y)/sum fz (of the estimate only the sites above a
+        fifth of the largest push). ``reasons``.
     """
     result: Score = dict.fromkeys(
         (
