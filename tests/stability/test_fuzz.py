@@ -46,7 +46,7 @@ def test_the_guards_of_an_attempt_see_what_is_wrong(tmp_path: Path, monkeypatch:
         shutil.rmtree(tmp_path / "box", ignore_errors=True)
         for name in ("inside", "outside"):
             (tmp_path / "box" / name).mkdir(parents=True)
-        monkeypatch.setattr("twin.study.check.check_path", lambda _, deed=deed: [str(deed())])
+        monkeypatch.setattr("twin.study.check.check_path", lambda *_, deed=deed: [str(deed())])
         one = fuzz.attempt(Reader("any", ("check", "block_bare"), ()), tmp_path / "box")
         assert words in one.wrong, (words, one)
 

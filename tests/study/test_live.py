@@ -136,7 +136,7 @@ def test_what_can_t_be_is_said_and_the_page_lives_on(page: Any) -> None:
 
 
 def test_in_time_a_held_press_creeps_slip_stays_and_another_place_begins_anew() -> None:
-    live = LivePress(twin.load_scene("gelpad_creep", QUICK | {"ccd.noise": False}))
+    live = LivePress(twin.load_scene("gelpad_creep", QUICK))
     hand = {**live.start().question(), "friction": 0.6}
 
     def ask(seconds: float | None = 0.3, **change: float) -> dict[str, Any]:
