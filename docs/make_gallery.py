@@ -203,50 +203,57 @@ CAMERAS = Room(
         Plate(
             "effects",
             "What real sensors have, off above and on below, brightened: red LEDs of unequal power; LEDs as discs that "
-            "the window mirrors; dust on the window; hot and dead pixels, and noise of rows and columns; glossy "
+            "the window mirrors; dust on the window; hot and dead pixels, and noise of rows and columns; glossy red "
             "beads.",
             """
+            light = {"light.positions_mm": [[11, 8, 105], [-11, 8, 105], [11, -8, 105], [-11, -8, 105]]}
             effects = {
-                "light.colours": [[1, 0.2, 0.1], [1, 0.2, 0.1], [0.2, 0.04, 0.02], [0.2, 0.04, 0.02]],
-                "light.radius_mm": 0.6,
-                "camera.dust": {"count": 4000, "size_mm": 0.15},
-                "ccd": {"hot_pixels": 300, "dead_pixels": 300, "row_noise_e": 120, "column_noise_e": 120},
-                "markers.red.gloss": [1.8, 0.05],
+                "coloured LEDs": {"light.colours": [[1, 0.2, 0.1]] * 2 + [[0.2, 0.04, 0.02]] * 2},
+                "mirrored LEDs": {"light.radius_mm": 0.6},
+                "dust": {"camera.dust": {"count": 4000, "size_mm": 0.15}},
+                "faulty pixels, rows": {
+                    "ccd": {"hot_pixels": 300, "dead_pixels": 300, "row_noise_e": 120, "column_noise_e": 120}
+                },
+                "gloss": {"markers.red.gloss": [2.5, 0.05]},
             }
-            plain = {"light.positions_mm": [[11, 8, 105], [-11, 8, 105], [11, -8, 105], [-11, -8, 105]]}
-            figure, axes = plt.subplots(2, 5, figsize=(13, 4.2), layout="constrained")
-            for column, (key, value) in zip(axes.T, effects.items()):
-                for ax, more in zip(column, ({}, {key: value})):
-                    scene = twin.load_scene("kamiyama_pillar", plain | more)
-                    ax.imshow((twin.Sensor(scene).picture(None)[75:165, 110:230] / 255) ** 0.5)
-                column[0].set_title(key)
+            figure, axes = plt.subplots(2, 5, figsize=(10, 3.4), layout="constrained")
+            for column, (name, effect) in zip(axes.T, effects.items()):
+                for ax, keys in zip(column, (light, light | effect)):
+                    picture = twin.Sensor(twin.load_scene("kamiyama_pillar", keys)).picture(None)
+                    ax.imshow((picture[75:165, 110:230] / 255) ** 0.5)
+                    ax.set(xticks=[], yticks=[])
+                column[0].set_title(name)
+            for ax, state in zip(axes[:, 0], ("off", "on")):
+                ax.set_ylabel(state)
             """,
         ),
         Plate(
             "chain",
             "The same for window, lens and camera: scratches and bubbles on the window; haze; a ghost; smear; flicker "
-            "under a rolling shutter; white balance of reddish light.",
+            "under a rolling shutter, on the whole picture; white balance of reddish light, by the picture's mean, "
+            "which takes the red of the beads for red light, too.",
             """
             rolling = {"exposure_ms": 3, "frames_per_second": 30, "readout_ms": 20}
             effects = {
-                "camera.scratches": {"count": 400, "size_mm": 0.06, "length_mm": 8},
-                "camera.bubbles": {"count": 2000, "size_mm": 0.8, "hollow": 0.7, "albedo": 0},
-                "ccd.haze": {"haze": 0.4, "haze_px": 20},
-                "ccd.ghost": {"ghost": 0.3, "ghost_px": [9, 4]},
-                "ccd.smear": {"smear": 0.3},
-                "ccd.flicker": {"flicker": 0.8, "flicker_hz": 200, **rolling},
-                "ccd.white_balance": {"white_balance": "grey"},
+                "scratches": {"camera.scratches": {"count": 400, "size_mm": 0.06, "length_mm": 8}},
+                "bubbles": {"camera.bubbles": {"count": 2000, "size_mm": 0.8, "hollow": 0.7, "albedo": 0}},
+                "haze": {"ccd": {"haze": 0.4, "haze_px": 20}},
+                "ghost": {"ccd": {"ghost": 0.3, "ghost_px": [9, 4]}},
+                "smear": {"ccd": {"smear": 0.3}},
+                "flicker": {"ccd": {"flicker": 0.8, "flicker_hz": 200, **rolling}},
+                "white balance": {"light.colours": [[1, 0.7, 0.5]] * 4, "ccd": {"white_balance": "grey"}},
             }
-            reddish = {"light.colours": [[1, 0.7, 0.5]] * 4}
-            figure, axes = plt.subplots(2, 7, figsize=(15, 4.4), layout="constrained")
-            for column, (key, value) in zip(axes.T, effects.items()):
-                for ax, tables in zip(column, ({}, {key if "camera" in key else "ccd": value})):
-                    more = (reddish if "white" in key else {}) | tables
-                    scene = twin.load_scene("kamiyama_pillar", more)
-                    rows = slice(None) if "flicker" in key else slice(175, 295)
-                    columns = slice(None) if "flicker" in key else slice(260, 380)
-                    ax.imshow((twin.Sensor(scene).picture(None)[rows, columns] / 255) ** 0.5)
-                column[0].set_title(key)
+            figure, axes = plt.subplots(2, 7, figsize=(11, 3.4), layout="constrained")
+            for column, (name, effect) in zip(axes.T, effects.items()):
+                light = {key: value for key, value in effect.items() if key == "light.colours"}
+                for ax, keys in zip(column, (light, effect)):
+                    picture = twin.Sensor(twin.load_scene("kamiyama_pillar", keys)).picture(None)
+                    part = picture[:, 80:560] if name == "flicker" else picture[175:295, 260:380]
+                    ax.imshow((part / 255) ** 0.5)
+                    ax.set(xticks=[], yticks=[])
+                column[0].set_title(name)
+            for ax, state in zip(axes[:, 0], ("off", "on")):
+                ax.set_ylabel(state)
             """,
         ),
     ),
