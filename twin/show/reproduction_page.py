@@ -130,7 +130,7 @@ def _left(tables: Sequence[Mapping[str, Any]]) -> str:
     items = "".join(
         f'<li><a href="#{_anchor(t)}">{escape(t["name"])}</a> {escape(r["quantity"])}: paper '
         f"{_number(r['paper'])}, "
-        f"twin {_with_spread(r)} {escape(r['unit'])}; {escape(r['verdict'])}</li>"
+        f"twin {_with_spread(r)}{escape(_unit(r))}{_beyond(str(r['verdict']))}</li>"
         for t in tables
         for r in t["records"]
         if str(r["verdict"]).startswith(("disagrees", "ruled out"))
@@ -140,6 +140,11 @@ def _left(tables: Sequence[Mapping[str, Any]]) -> str:
         if items
         else ""
     )
+
+
+def _beyond(verdict: str) -> str:
+    """Return what a verdict adds to the heading that no modelled cause explains the number."""
+    return "" if verdict.endswith("no modelled cause explains it") else f"; {escape(verdict)}"
 
 
 def _sensors(sensors: Mapping[str, Mapping[str, Any]]) -> str:

@@ -31,7 +31,7 @@ BOTTOM = 44
 """Margins for tick labels and axis names; wide enough for the larger letters that a phone is
 given."""
 
-FIT, WIDE = 3, 9
+FIT, WIDE = 2, 9
 """Letters of the vertical axis's ticks that fit the left margin next to the axis's name, and the
 width of each more."""
 

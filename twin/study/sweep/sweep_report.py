@@ -213,7 +213,7 @@ def write_report(done: Swept, folder: Path) -> list[str]:
     said = f'<p class="note">{escape("; ".join(meanings))}.</p>'
     sections = [
         ("The best", table("Designs", list(map(escape, heads[1:])), shown) + said if rows else ""),
-        ("Each of them", "".join(_cards(done, best, folder))),
+        ("Each of them", _cards(done, best, folder)),
         ("Fronts", two_columns(_fronts(done))),
         ("Maps", two_columns(_maps(done))),
         ("What matters", _sensitivity_table(_sensitivities(done))),
@@ -339,8 +339,8 @@ def _front(
             content += axes.line(np.array(level if k else upright), "contact")
     svg = axes.drawing(content, *names, f"{names[1]} against {names[0]} of all designs")
     caption = (
-        "Each dot is a design; red ones are bettered by none in both. The worst twentieth lies "
-        f"outside. {_said(names, target, targets)}"
+        "Each dot is a design; no other is better in both than those on the line. The worst "
+        f"twentieth lies outside. {_said(names, target, targets)}"
     )
     return figure(svg, caption)
 
@@ -350,7 +350,7 @@ def _said(names: tuple[str, str], targets: tuple[float, float], drawn: Sequence[
     words = ["Dashed: the targets."] if np.isfinite(drawn).any() else []
     for name, target, shown in zip(names, targets, drawn, strict=True):
         if np.isfinite(target) and not np.isfinite(shown):
-            words.append(f"Wanted {escape(name)}: {digits(float(target))}, far from here.")
+            words.append(f"The target, {escape(name)}: {digits(float(target))}, lies far outside.")
     return " ".join(words)
 
 
@@ -416,8 +416,8 @@ def _map(
     border = ""
     if np.isfinite(target):
         border = (
-            f" Inside the dashed border the design limit is at most {digits(target)}, "
-            "inside the solid one it is."
+            f" Inside the solid border it is at most {digits(target)}; inside the dashed one the "
+            "design limit is."
         )
     ramp = (
         f'<div class="ramp"><span>{digits(low)}</span><span class="colours" style="background:'
@@ -464,12 +464,12 @@ def _numbers(values: Sequence[object]) -> Floats | None:
     return np.asarray(values, float) if all(isinstance(v, int | float) for v in values) else None
 
 
-def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> list[str]:
+def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> str:
     """Return the best designs (HTML): how to run each, picture and fields."""
     store = Store(folder)
     designs = done.designs
     two = f"Estimate of two pushes {designs.sweep.loads.pair_mm:g} mm apart"
-    cards = []
+    cards, most = [], 0
     for number, file in best.items():
         parts = []
         key = done.keys.get(number)
@@ -488,12 +488,15 @@ def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> list[str]:
             kept = done.expected(number)
             title = "Expected estimate of the push in the middle"
             parts.append(_field(title, kept["site_mm"], kept["middle_n"]))
+        most = max(most, len(parts))
+        drawings = parts[0] if len(parts) == 1 else two_columns(parts, three=True)
         cards.append(
-            f"<h3>Design {number}</h3>"
+            f"<div><h3>Design {number}</h3>"
             f'<p class="note">Ready to run, in this page&rsquo;s folder: <code>twin run '
-            f"{escape(str(file.relative_to(folder)))}</code></p>{two_columns(parts, three=True)}"
+            f"{escape(str(file.relative_to(folder)))}</code></p>{drawings}</div>"
         )
-    return cards
+    # designs with one drawing at most stand next to each other
+    return two_columns(cards) if most < 2 else "".join(cards)
 
 
 def _field(name: str, sites: Points, force: Floats) -> str:
@@ -506,6 +509,11 @@ def _field(name: str, sites: Points, force: Floats) -> str:
     return figure(svg, f"{escape(name)}; the strongest is {digits(largest)} N a site")
 
 
+def _hundredths(share: float) -> str:
+    """Return a number to hundredths with a true minus sign; a dash for none."""
+    return f"{share:z.2f}".replace("-", "−") if np.isfinite(share) else "–"
+
+
 def _sensitivity_table(rows: Sequence[tuple[str, str, float, float, float]]) -> str:
     if not rows:
         return ""
@@ -514,7 +522,7 @@ def _sensitivity_table(rows: Sequence[tuple[str, str, float, float, float]]) -> 
             escape(
                 f"{_named(explained).partition(' (')[0]}: {_axis_name(axis).partition(' (')[0]}"
             ),
-            [f"{first:.2f}", f"{total:.2f}", f"{rank:+.2f}" if np.isfinite(rank) else "–"],
+            [_hundredths(first), _hundredths(total), _hundredths(rank)],
         )
         for explained, axis, first, total, rank in rows
     ]
