@@ -185,6 +185,30 @@ def test_colours_are_told_apart_by_the_layout_not_the_name():
     assert found.seen.all()
 
 
+@pytest.mark.parametrize(
+    ("diameter", "pitch", "dyes"),
+    [
+        (10.0, 24.0, np.eye(3)),  # hardly any ground beside a marker
+        (16.0, 40.0, np.array([[1.0, 0.3, 0.1], [0.9, 0.8, 0.2], [0.1, 0.3, 0.9]])),  # red shows in yellow's contrast
+        (6.0, 40.0, -0.2 * np.eye(3)),  # darker than the ground
+    ],
+)
+def test_three_colours_of_markers_are_three_layers(diameter, pitch, dyes):
+    random, size = np.random.default_rng(11), (round(10 * pitch), round(8 * pitch))
+    places = flat_layout(9, 7, pitch, (0.6 * pitch, 0.6 * pitch))["red"]
+    offsets = pitch * np.array([(0.0, 0.0), (0.5, 0.1), (0.1, 0.5)])
+    layout = {str(k): places + off + random.uniform(-0.5, 0.5, places.shape) for k, off in enumerate(offsets)}
+    shift = random.uniform(-3.5, 3.5, (3, *places.shape))
+    pair = []
+    for seed, moved in enumerate((np.zeros(3), shift)):
+        shares = [cover(size, p + m, diameter, 0.7)[..., None] for p, m in zip(layout.values(), moved, strict=True)]
+        pair.append(expose(30.0 + 130.0 * sum(s * dye for s, dye in zip(shares, dyes, strict=True)), seed))
+    found = track(*pair, layout)
+    error = found.shift_px - np.concatenate(shift)
+    assert found.seen.mean() > 0.97
+    assert np.nanmean((error / found.sd_px[:, None]) ** 2) < 1.3
+
+
 @pytest.mark.parametrize("red", [(1.0, 0.0, -1.0), (1.0, 0.0, 0.0)])
 def test_given_channels_are_used(red):
     rest, channels = picture(0.0, 1), {"red": red, "blue": red[::-1]}

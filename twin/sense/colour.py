@@ -390,7 +390,21 @@ def projections(samples: Floats, count: int) -> list[Weights]:
     if colours is None:
         return [_as_weights(samples.mean(axis=0))]
     others = [np.mean(np.delete(colours, i, axis=0), axis=0) for i in range(count)]
-    return [_as_weights(colour - other) for colour, other in zip(colours, others, strict=True)]
+    apart = colours - np.array(others)
+    if count > 2:  # differences may show other colours; what is blind to them may show little
+        blind = np.asarray(np.linalg.pinv(colours, rcond=0.05).T, np.float64)
+        better = _separation(blind, colours) > _separation(apart, colours)
+        apart = np.where(better[:, None], blind, apart)
+    return [_as_weights(direction) for direction in apart]
+
+
+def _separation(weights: Floats, colours: Floats) -> Floats:
+    """Return (n,) how much more of its own colour each of ``weights`` (n, 3) shows than of the
+    others, over its length."""
+    shown = weights @ colours.T
+    own = shown.diagonal().copy()
+    np.fill_diagonal(shown, 0.0)
+    return np.asarray((own - shown.max(axis=1)) / np.linalg.norm(weights, axis=1))
 
 
 def _as_weights(direction: Floats) -> Weights:
@@ -429,7 +443,11 @@ def _assign(
     from scipy.ndimage import uniform_filter
 
     size = max(3, round(0.2 * spacing_px))
-    signals = [uniform_filter(project(image, w, 0.0), size) for w in weights]
+    signals = []
+    for w in weights:
+        signal = project(image, w)
+        above = np.maximum(signal - np.median(signal[::4, ::4]), np.float32(0.0))
+        signals.append(uniform_filter(above, size))
     levels = [max(float(np.quantile(signal, 0.99)), 1e-6) for signal in signals]
     steps = np.linspace(-0.4, 0.4, 11) * spacing_px
     shifts = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Singles, for_kernel
 from twin.sense.centre import Look
@@ -62,6 +63,9 @@ search starts."""
 
 SAMPLE = 40
 """About how many markers give the layer's blur and bulge."""
+
+CLEAR_PX = 1.5
+"""So far from markers' edges is the ground, for all the blur."""
 
 EVERYWHERE = np.ones((2, 2), np.float32)
 
@@ -135,8 +139,9 @@ def layer_signals(
     """
     # Colours of the markers, less the ground's; each projection is blind to the other colours.
     own = [np.asarray(look.weights) for look in looks]
+    widest = max(look.diameter_px for look in looks)
     colours = [
-        _marker_colour(picture, spots, look.diameter_px)
+        _marker_colour(picture, spots, look.diameter_px, np.concatenate(spots_px), widest)
         for spots, look in zip(spots_px, looks, strict=True)
     ]
     visible = all(np.abs(colour).max() >= LEAST_CONTRAST_DN for colour in colours)
@@ -177,9 +182,11 @@ def layer_signals(
     return signals
 
 
-def _marker_colour(picture: Picture, centres: Pixels, diameter: float) -> Floats:
+def _marker_colour(
+    picture: Picture, centres: Pixels, diameter: float, marks: Pixels, widest: float
+) -> Floats:
     """Return (3,) how markers differ from their ground, counts: the median over them; zeros if
-    there are none."""
+    there are none. Their ground is where none of the ``marks`` (q, 2), up to ``widest`` px, is."""
     middle = np.rint(centres[np.isfinite(centres).all(axis=1)]).astype(int)
     far = int(np.ceil(0.5 * diameter)) + 4
     height, width = picture.shape[:2]
@@ -190,8 +197,15 @@ def _marker_colour(picture: Picture, centres: Pixels, diameter: float) -> Floats
     half = int(0.2 * diameter)
     near = range(-half, half + 1)
     spot = np.mean([picture[row + j, column + i] for j in near for i in near], axis=0)
-    ring = [picture[row + j, column + i] for i, j in ((far, 0), (-far, 0), (0, far), (0, -far))]
-    return np.asarray(np.median(spot - np.median(ring, axis=0), axis=0), float)
+    around = middle[inside] + np.array([(far, 0), (-far, 0), (0, far), (0, -far)])[:, None]
+    ring = picture[around[..., 1], around[..., 0]].astype(float)
+    away, _ = cKDTree(marks[np.isfinite(marks).all(axis=1)]).query(around)
+    free = away > 0.5 * widest + CLEAR_PX
+    if not free.any():  # too dense
+        return np.asarray(np.median(spot - np.median(picture[::4, ::4], axis=(0, 1)), axis=0))
+    ring[~free] = np.nan
+    some = free.any(axis=0)
+    return np.asarray(np.median(spot[some] - np.nanmedian(ring[:, some], axis=0), axis=0))
 
 
 def make_templates(
