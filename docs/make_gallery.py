@@ -99,12 +99,13 @@ CONTACTS = Room(
         ),
         Plate(
             "friction",
-            "The same sphere pulled aside, with little and with much friction: the rim slips, the middle sticks.",
+            "A sphere pressed, then pulled aside, with little and with much friction: the rim slips, the middle sticks.",
             """
             figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+            steps = [{"force_n": {"x": 0, "y": 0, "z": 0.2}}, {"force_n": {"x": 0.07, "y": 0, "z": 0.2}}]
             for ax, friction in zip(axes, (0.4, 0.6, 1.0)):
-                sheared = {"press.friction": friction, "press.force_n": {"x": 0.07, "y": 0, "z": 0.2}}
-                twin.Sensor(twin.load_scene("gelpad_press", sheared)).press().plot(ax)
+                pulled = {"press.friction": friction, "press.steps": steps}
+                twin.Sensor(twin.load_scene("gelpad_press", pulled)).press().plot(ax)
                 ax.set_title(f"friction {friction:g}")
             """,
         ),
