@@ -29,7 +29,7 @@ from twin.sense.calibration import Calibration
 from twin.sense.fit_design import Fit, Presses
 from twin.sense.reconstruct import reconstruct
 from twin.sense.transfer import fill_between, from_presses
-from twin.study.calibrate import FOOTPRINT, calibration_press, hertz_radius, optics
+from twin.study.calibrate import FOOTPRINT, calibration_press, hertz_radius
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
@@ -351,7 +351,8 @@ def calibration(scene: Scene, twin: FittedDesign, found: Fit, markers: Floats, g
         layout_px=twin.seen(markers, camera), site_mm=sites.centre_mm, site_frames=sites.frames,
         site_area_mm2=np.full(len(sites), grid.pitch_mm**2), grid=(grid.columns, grid.rows),
         transfer=twin.transfer(found.scaled, markers, compliance), noise_px=NOISE_PX,
-        compliance=compliance.astype(np.float32), marker_mm=markers, camera=optics(twin.scene, camera),
+        compliance=compliance.astype(np.float32), marker_mm=markers,
+        camera=Calibration.camera_text(camera, *twin.scene.optics[1:]),
     )  # fmt: skip
 
 

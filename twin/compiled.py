@@ -134,13 +134,10 @@ class _Compiling(event.Listener):  # type: ignore[misc]
     ----------
     spent_s
         Seconds that this process has compiled the program's own functions.
-    ahead
-        A module that a second process runs from the moment when the line is printed, to compile and
-        store what it uses meanwhile; "" for none.
     """
 
     def __init__(self) -> None:
-        self.ahead = ""
+        self._ahead = ""
         self._second: subprocess.Popen[bytes] | None = None
         self._collects = False
         self.spent_s = 0.0
@@ -173,38 +170,33 @@ class _Compiling(event.Listener):  # type: ignore[misc]
         if sys.stderr is not None and multiprocessing.parent_process() is None:
             line = "twin: compiling, once after an install or an update: about half a minute in all"
             print(line, file=sys.stderr, flush=True)
-        if self.ahead and config.NUMBA_NUM_THREADS > 1:
+        if self._ahead and config.NUMBA_NUM_THREADS > 1:
             silent = subprocess.DEVNULL
-            command = [sys.executable, "-m", self.ahead]
+            command = [sys.executable, "-m", self._ahead]
             self._second = subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent)
 
     def wait_for_second(self) -> None:
         """Wait until the second process has stored what it compiles, if there is one."""
         if self._second is not None:
             self._second.wait()
-        self.ahead = ""
+        self._ahead = ""
 
-    def end_second(self) -> None:
-        """End the second process, if there is one."""
-        if self._second is not None:
-            self._second.kill()
-        self.wait_for_second()
-        self._second = None
+    @contextmanager
+    def compiled_ahead(self, module: str) -> Iterator[None]:
+        """Within the block, have a second process run a module ("" for none) once compiling takes
+        long, when the line is printed: what it compiles is stored when this process comes to it."""
+        self._ahead = module
+        try:
+            yield
+        finally:
+            if self._second is not None:
+                self._second.kill()
+            self.wait_for_second()
+            self._second = None
 
 
 COMPILING = _Compiling()
 event.register("numba:compile", COMPILING)
-
-
-@contextmanager
-def compiled_ahead(module: str) -> Iterator[None]:
-    """Within the block, have a second process run a module once compiling takes long (see
-    `_Compiling`): what it compiles is stored when this process comes to it."""
-    COMPILING.ahead = module
-    try:
-        yield
-    finally:
-        COMPILING.end_second()
 
 
 _PARTS = 8

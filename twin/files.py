@@ -106,30 +106,22 @@ def kept_if_possible() -> Iterator[None]:
             _unkept.append(reason)
 
 
-def pinned(name: str) -> Path | None:
-    """Return the file of this name in a pinned folder; None if there is none."""
-    for folder in _pinned:
-        if (folder / name).is_file():
-            return folder / name
-    return None
+def pinned() -> Path | None:
+    """Return the folder that meshes and tables are taken from alone (`pin`), None for none."""
+    return _pinned[-1] if _pinned else None
 
 
 @contextmanager
 def pin(folder: Path) -> Iterator[None]:
-    """Take meshes and tables from ``folder`` before all others, and make none while it is pinned.
+    """Take meshes and tables from ``folder`` alone within this, and make none.
 
     Why: making a mesh is not deterministic, so a job with reproducible results carries its mesh.
     """
-    _pinned.insert(0, folder)
+    _pinned.append(folder)
     try:
         yield
     finally:
-        _pinned.remove(folder)
-
-
-def is_pinned() -> bool:
-    """Return whether meshes and tables are pinned."""
-    return bool(_pinned)
+        _pinned.pop()
 
 
 def make_folder(folder: Path) -> None:

@@ -78,7 +78,7 @@ def test_where_compiling_takes_long_a_second_process_compiles_what_comes_later(p
         import twin.compiled
         from twin.outer import caller
         twin.compiled.SHOWN_AFTER_S = 1e-9
-        with twin.compiled.compiled_ahead("twin.other"):
+        with twin.compiled.COMPILING.compiled_ahead("twin.other"):
             caller(3.0)
             twin.compiled.COMPILING.wait_for_second()
     """

@@ -210,6 +210,13 @@ class Calibration:
         """Whether `bend_px` can be asked."""
         return self.compliance.size > 0
 
+    @staticmethod
+    def camera_text(camera: Camera, body_index: float, base_z_mm: float) -> str:
+        """Return the text `camera` of a camera, the refractive index of the rubber, and the height
+        of the base, mm."""
+        seen = camera.model_dump(mode="json")
+        return json.dumps({"camera": seen, "body_index": body_index, "base_z_mm": base_z_mm})
+
     @cached_property
     def _optics(self) -> tuple[Camera, float, float]:
         try:

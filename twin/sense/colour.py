@@ -12,6 +12,7 @@ belongs to which layer is decided by the layout, never by a layer's name.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -36,15 +37,35 @@ UNSPLIT_COSINE = 0.97
 signal."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Flaws:
+    """What a camera and a film's codec do to every picture, found in one.
+
+    Attributes
+    ----------
+    blocks
+        First (column, row) of the blocks of 2 x 2 pixels in which a film's decoder has repeated the
+        colours; None where it has not.
+    bad
+        Row, column and channel of the pixels that are hot or dead.
+    """
+
+    blocks: tuple[int, int] | None
+    bad: tuple[Ints, Ints, Ints]
+
+    @classmethod
+    def of(cls, picture: Picture) -> Flaws:
+        """Find the flaws of a picture."""
+        return cls(blocks=_colour_blocks(picture), bad=_bad_pixels(picture))
+
+
 def as_picture(
     image: NDArray[np.generic],
     what: str,
-    blocks: tuple[int, int] | None = None,
-    bad: tuple[Ints, Ints, Ints] | None = None,
+    flaws: Flaws | None = None,
 ) -> Picture:
-    """Return ``image`` as a contiguous (h, w, 3) uint8 picture; a grey one is repeated in all
-    channels, ``bad`` pixels (`bad_pixels`) and colours that are repeated in ``blocks``
-    (`colour_blocks`) are interpolated.
+    """Return ``image`` as a contiguous (h, w, 3) uint8 picture, less its ``flaws``; a grey one is
+    repeated in all channels.
 
     Raises
     ------
@@ -65,10 +86,10 @@ def as_picture(
             "drop the others"
         )
     picture = np.ascontiguousarray(picture)
-    if bad is not None and len(bad[0]):
-        picture = _repaired(picture, bad)
-    if blocks is not None:
-        return _interpolate_colours(picture, blocks)
+    if flaws is not None and len(flaws.bad[0]):
+        picture = _repaired(picture, flaws.bad)
+    if flaws is not None and flaws.blocks is not None:
+        return _interpolate_colours(picture, flaws.blocks)
     # one type for the compiled kernels
     return picture if picture.flags.writeable else picture.copy()
 
@@ -86,9 +107,8 @@ COLOURLESS = 0.01
 nothing."""
 
 
-def colour_blocks(picture: Picture) -> tuple[int, int] | None:
-    """Return the first (column, row) of the blocks of 2 x 2 pixels in which a film's decoder has
-    repeated the colours; None where it has not."""
+def _colour_blocks(picture: Picture) -> tuple[int, int] | None:
+    """Return `Flaws.blocks`."""
     bright = picture.astype(np.float32) @ LUMA[:, None].astype(np.float32)
     sample = picture[:, :, ::2] - bright
     first = []
@@ -208,8 +228,8 @@ RING = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if (row, co
 """A pixel's eight neighbours."""
 
 
-def bad_pixels(picture: Picture) -> tuple[Ints, Ints, Ints]:
-    """Return row, column and channel of the pixels that are hot or dead."""
+def _bad_pixels(picture: Picture) -> tuple[Ints, Ints, Ints]:
+    """Return `Flaws.bad`."""
     levels = picture.astype(np.int16)
     height, width = picture.shape[:2]
     around = np.pad(levels, ((1, 1), (1, 1), (0, 0)), mode="edge")

@@ -50,7 +50,6 @@ from twin.sense.rest_templates import (
     USUAL,
     LayerSignal,
     bounded_rms,
-    layer_signals,
     make_templates,
     noise_now,
     smooth_gradient,
@@ -224,7 +223,9 @@ class DiscFit(SoftWindow):
         places = [spot.spot_px for spot in spots]
         marks = np.concatenate(places)
         groups = []
-        for spot, signal in zip(spots, layer_signals(picture, looks, places, given), strict=True):
+        for spot, signal in zip(
+            spots, LayerSignal.of_layers(picture, looks, places, given), strict=True
+        ):
             group = cls._by(picture, spot, signal, marks)
             # Compression keeps more of the brightness than of the colours: is that the better one?
             if signal.brightness is not None and group.templates.coherent:

@@ -14,15 +14,14 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Floats, Ints, Picture, Pixels, frozen
+from twin.arrays import Floats, Picture, Pixels, frozen
 from twin.errors import InputError, require
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import CentreEstimator, Look
 from twin.sense.colour import (
+    Flaws,
     Weights,
     as_picture,
-    bad_pixels,
-    colour_blocks,
     estimate_channels,
     project,
 )
@@ -64,10 +63,8 @@ class Rest:
         (height, width) of the picture.
     method
         How centres are measured.
-    blocks
-        `twin.sense.colour.colour_blocks` of the picture.
-    bad
-        `twin.sense.colour.bad_pixels` of it.
+    flaws
+        Of the picture.
     film
         Whether a film's codec has been found since (`twin.sense.colour.repeats_blocks`).
     """
@@ -79,8 +76,7 @@ class Rest:
     usual_sd_px: Floats
     size_px: tuple[int, int]
     method: CentreMethod
-    blocks: tuple[int, int] | None
-    bad: tuple[Ints, Ints, Ints]
+    flaws: Flaws
     film: bool = False
 
 
@@ -95,8 +91,8 @@ def analyse_rest(
 ) -> Rest:
     """Find the markers of ``layout`` in the rest picture; parameters as for `twin.track`."""
     picture = as_picture(rest_image, "the rest picture")
-    blocks, bad = colour_blocks(picture), bad_pixels(picture)
-    picture = as_picture(picture, "the rest picture", blocks, bad)
+    flaws = Flaws.of(picture)
+    picture = as_picture(picture, "the rest picture", flaws)
     drawn = _checked_layout(layout)
     _check_options(drawn, diameter_px, polarity, channels, method)
     size = min(spacing(p) for p in drawn.values())
@@ -129,8 +125,7 @@ def analyse_rest(
         usual_sd_px=frozen(usual),
         size_px=(height, width),
         method=method,
-        blocks=blocks,
-        bad=bad,
+        flaws=flaws,
     )
 
 

@@ -1,6 +1,6 @@
 """The templates of the markers, made from the rest picture.
 
-`layer_signals` chooses the projection by which each layer is measured. `make_templates` fits every
+`LayerSignal` chooses the projection by which each layer is measured. `make_templates` fits every
 marker at rest, and measures the noise that later fits are judged by: in single pixels, and as far
 as it hangs together over the ground around the markers.
 
@@ -122,64 +122,64 @@ class LayerSignal:
     brightness: Singles | None
     sites: Singles
 
+    @classmethod
+    def of_layers(
+        cls, picture: Picture, looks: Sequence[Look], spots_px: Sequence[Pixels], given: bool
+    ) -> list[LayerSignal]:
+        """Return the signal of every layer.
 
-def layer_signals(
-    picture: Picture, looks: Sequence[Look], spots_px: Sequence[Pixels], given: bool
-) -> list[LayerSignal]:
-    """Return the signal of every layer.
-
-    Parameters
-    ----------
-    picture
-        (h, w, 3) counts at rest.
-    looks, spots_px
-        First look at every layer, and (n, 2) centres of its spots, px; NaN where there is none.
-    given
-        Whether the projections of ``looks`` are to be used as they are.
-    """
-    # Colours of the markers, less the ground's; each projection is blind to the other colours.
-    own = [np.asarray(look.weights) for look in looks]
-    widest = max(look.diameter_px for look in looks)
-    colours = [
-        _marker_colour(picture, spots, look.diameter_px, np.concatenate(spots_px), widest)
-        for spots, look in zip(spots_px, looks, strict=True)
-    ]
-    visible = all(np.abs(colour).max() >= LEAST_CONTRAST_DN for colour in colours)
-    if not given and len(looks) > 1 and visible:
-        inverse = np.linalg.pinv(np.array(colours), rcond=0.05).T
-        own = [row / max(float(np.abs(row).max()), 1e-12) for row in inverse]
-    # The ground's level in each of them, and the level from which on another layer shows.
-    sample = picture[::4, ::4].reshape(-1, 3).astype(float)
-
-    def with_ground(weights: Floats) -> Singles:
-        return np.array([*weights, np.median(sample @ weights)], np.float32)
-
-    shows = [
-        [
-            *weights,
-            float(np.median(sample @ weights)) + max(SHOWS * float(weights @ colour), SHOWS_DN),
+        Parameters
+        ----------
+        picture
+            (h, w, 3) counts at rest.
+        looks, spots_px
+            First look at every layer, and (n, 2) centres of its spots, px; NaN where there is none.
+        given
+            Whether the projections of ``looks`` are to be used as they are.
+        """
+        # Colours of the markers, less the ground's; each projection is blind to the other colours.
+        own = [np.asarray(look.weights) for look in looks]
+        widest = max(look.diameter_px for look in looks)
+        colours = [
+            _marker_colour(picture, spots, look.diameter_px, np.concatenate(spots_px), widest)
+            for spots, look in zip(spots_px, looks, strict=True)
         ]
-        for weights, colour in zip(own, colours, strict=True)
-    ]
-    signals = []
-    mosaic = mosaic_sites(picture)
-    for number, (weights, colour) in enumerate(zip(own, colours, strict=True)):
-        bright = float(LUMA @ colour)
-        in_brightness = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())
-        mixed = np.sign(bright) * LUMA
-        if not in_brightness:
-            mixed = weights + MIXED * mixed
-        brightness = None if given else with_ground(mixed / np.abs(mixed).max())
-        others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
-        channel = int(np.abs(weights).argmax())
-        one_colour = np.abs(weights[channel]) > ONE_COLOUR * np.abs(weights).sum()
-        sites = EVERYWHERE
-        if mosaic is not None and one_colour:
-            sites = mosaic[channel].astype(np.float32)
-        signals.append(
-            LayerSignal(own=with_ground(weights), others=others, brightness=brightness, sites=sites)
-        )
-    return signals
+        visible = all(np.abs(colour).max() >= LEAST_CONTRAST_DN for colour in colours)
+        if not given and len(looks) > 1 and visible:
+            inverse = np.linalg.pinv(np.array(colours), rcond=0.05).T
+            own = [row / max(float(np.abs(row).max()), 1e-12) for row in inverse]
+        # The ground's level in each of them, and the level from which on another layer shows.
+        sample = picture[::4, ::4].reshape(-1, 3).astype(float)
+
+        def with_ground(weights: Floats) -> Singles:
+            return np.array([*weights, np.median(sample @ weights)], np.float32)
+
+        shows = [
+            [
+                *weights,
+                float(np.median(sample @ weights)) + max(SHOWS * float(weights @ colour), SHOWS_DN),
+            ]
+            for weights, colour in zip(own, colours, strict=True)
+        ]
+        signals = []
+        mosaic = mosaic_sites(picture)
+        for number, (weights, colour) in enumerate(zip(own, colours, strict=True)):
+            bright = float(LUMA @ colour)
+            in_brightness = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())
+            mixed = np.sign(bright) * LUMA
+            if not in_brightness:
+                mixed = weights + MIXED * mixed
+            brightness = None if given else with_ground(mixed / np.abs(mixed).max())
+            others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
+            channel = int(np.abs(weights).argmax())
+            one_colour = np.abs(weights[channel]) > ONE_COLOUR * np.abs(weights).sum()
+            sites = EVERYWHERE
+            if mosaic is not None and one_colour:
+                sites = mosaic[channel].astype(np.float32)
+            signals.append(
+                cls(own=with_ground(weights), others=others, brightness=brightness, sites=sites)
+            )
+        return signals
 
 
 def _marker_colour(

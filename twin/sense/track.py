@@ -330,7 +330,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
         raise InputError(
             f"start_px must be {rest.rest_px.shape} px, one row a marker, got {np.shape(start_px)}"
         )
-    picture = as_picture(picture, "the picture", rest.blocks, rest.bad)
+    picture = as_picture(picture, "the picture", rest.flaws)
     shift = np.full(rest.rest_px.shape, np.nan)
     sd = np.full(len(rest.rest_px), np.nan)
     state = np.full(len(rest.rest_px), MISSING, np.uint8)
@@ -341,7 +341,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
         rows = group.look.rows
         start = None if start_px is None else np.asarray(start_px, float)[rows]
         seen = group.measure(picture, start)
-        halved = rest.blocks is not None and seen.coherence > 1.0
+        halved = rest.flaws.blocks is not None and seen.coherence > 1.0
         film = FILM if halved else 1.0
         if rest.film:  # that edges look alike says nothing where a codec repeats them
             film = REPEATING / min(seen.coherence, 1.0)

@@ -26,7 +26,6 @@ from twin.blas_threads import one_blas_thread
 from twin.errors import ContactError, InputError, RecipeError
 from twin.files import cache_folder, kept_if_possible, make_folder
 from twin.parts.body import Block, Body
-from twin.parts.camera import Camera
 from twin.parts.load import Rectangles
 from twin.parts.part import identity
 from twin.parts.press import Press, Sphere, Step
@@ -214,8 +213,7 @@ def nominal_calibration(sensor: Sensor, compliance: Floats) -> Calibration:
     """Return the calibration by a (3n, 3k) nominal compliance, mm/N, through the nominal camera."""
     scene = sensor.nominal
     made = _calibration(sensor, _through_camera(sensor, compliance), DESIGN_NOISE_PX)
-    assert scene.camera is not None
-    seen: dict[str, Any] = {"compliance": compliance, "camera": optics(scene, scene.camera)}
+    seen: dict[str, Any] = {"compliance": compliance, "camera": made.camera_text(*scene.optics)}
     return replace(made, marker_mm=sensor.nominal_markers.points, **seen)
 
 
@@ -397,12 +395,13 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
     markers, _ = design.markers_of(found.scaled, presses.rest_px)
     compliance = design.compliance(found.scaled, markers, sensor.sites)
     transfer = design.transfer(found.scaled, markers, compliance)
+    made = _calibration(sensor, transfer, float(np.hypot(presses.noise_px, found.model_px)))
     made = replace(
-        _calibration(sensor, transfer, float(np.hypot(presses.noise_px, found.model_px))),
+        made,
         left_out=found.left_out,
         compliance=compliance.astype(np.float32),
         marker_mm=markers,
-        camera=optics(scene, design.camera_of(found.scaled)),
+        camera=made.camera_text(design.camera_of(found.scaled), *scene.optics[1:]),
     )
     fitted = design.deviations(found)
     stiffer = 1 + fitted.get("youngs_modulus", {}).get("deviation", 0.0)
@@ -454,16 +453,6 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
         condition=float(singular[0] / max(singular[-1], singular[0] * np.finfo(float).eps)),
         left_out=np.zeros(0),
     )
-
-
-def optics(scene: Scene, camera: Camera) -> str:
-    """Return a camera as a calibration file holds it."""
-    facts = {
-        "camera": camera.model_dump(mode="json"),
-        "body_index": scene.material.refractive_index,
-        "base_z_mm": scene.body.base_z_mm,
-    }
-    return json.dumps(facts)
 
 
 def _rest_picture(folder: Path) -> Path:

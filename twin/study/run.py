@@ -30,7 +30,7 @@ import numpy as np
 
 from twin.arrays import Floats, Picture, Pixels, Progress
 from twin.blas_threads import one_blas_thread
-from twin.compiled import COMPILING, compiled_ahead
+from twin.compiled import COMPILING
 from twin.errors import ContactError, InputError, RecipeError, SomeFailed
 from twin.files import make_folder, write_whole
 from twin.parts.load import Rectangles
@@ -144,7 +144,7 @@ def run_to_folder(
     sensor, needed = _checked(scene, wanted, wanted != WANTED, progress)
     make_folder(folder)
     RunResult.refuse_other_files(folder)
-    with compiled_ahead("twin.sense.compile_ahead" if "tracking" in needed else ""):
+    with COMPILING.compiled_ahead("twin.sense.compile_ahead" if "tracking" in needed else ""):
         result = _computed(sensor, needed, keep_last=True)
     page = ""
     if "report" in wanted:

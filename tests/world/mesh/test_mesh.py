@@ -17,7 +17,7 @@ from twin.world.mesh import body_mesh as making
 from twin.world.mesh.body_mesh import body_mesh, build_mesh
 from twin.world.mesh.elements import TET_EDGES
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import Quality, dihedral_angles, offsets
+from twin.world.mesh.quality import Quality, dihedral_angles
 from twin.world.mesh.sizing import Sizing, WantedEdge
 from twin.world.mesh.snap import snapped_mesh
 from twin.world.mesh.tetrahedralise import remeshed
@@ -108,7 +108,7 @@ def test_the_key_follows_geometry_and_sizing_but_not_the_recipe_s_sources():
 
 def test_snapping_undoes_a_disturbed_surface():
     mesh = small_mesh(jitter_mm=0.3)
-    assert np.max(offsets(mesh, SMALL)) < 1e-12
+    assert Quality.of(mesh, SMALL).largest_offset_mm < 1e-12
     assert mesh.enclosed_volume() == pytest.approx(216, rel=1e-13)
     faces_at = np.sum(np.abs(SMALL.piece_distances(mesh.points)) < 1e-12, axis=1)
     assert np.sum(faces_at == 3) == 8

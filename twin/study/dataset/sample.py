@@ -559,7 +559,8 @@ def _finer(made: _MadeSensor) -> _MadeSensor:
         "contact_increments": min(_MOST_INCREMENTS, 2 * scene.accuracy.contact_increments),
         "surface_table": False,
     }
-    if pinned(_finest_mesh_file(scene.body)):
+    folder = pinned()
+    if folder is not None and (folder / _finest_mesh_file(scene.body)).is_file():
         changes["displacement"] = _BEST
     finest = scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update=changes)})
     return _MadeSensor(Plan(finest, made.plan.samples), made.number, made.values, gather=False)

@@ -38,7 +38,6 @@ from twin.errors import InputError
 from twin.files import (
     MESHES,
     cache_folder,
-    is_pinned,
     kept_if_possible,
     pinned,
     read_arrays,
@@ -251,11 +250,12 @@ class Table:
             return None
         usable *= CHECK if role == "check" else 1.0
         path = Table.path(body, role)
-        of_all = pinned(path.name) if is_pinned() else path.exists()
+        folder = pinned()
+        of_all = path.exists() if folder is None else (folder / path.name).is_file()
         if not of_all and poisson_ratio is not None:
             path = Table.path(body, role, poisson_ratio)
-        if is_pinned():
-            return _usable(held, usable) if (held := pinned(path.name)) else None
+        if folder is not None:
+            return _usable(folder / path.name, usable)
         if make and not path.exists() and not _is_standard(body):
             mesh = drawn_to_rim(body_mesh(body, MADE[role], progress=progress), body)
             table = Table.make(body, mesh, progress, poisson_ratio)

@@ -25,7 +25,7 @@ import numpy as np
 
 from twin.arrays import Ints, Points, Progress, coordinates, frozen
 from twin.errors import InputError, MeshError
-from twin.files import MESHES, cache_folder, is_pinned, kept_if_possible, pinned
+from twin.files import MESHES, cache_folder, kept_if_possible, pinned
 from twin.geometry.pieces import TriangleTree, edge_angles
 from twin.parts.body import CREASE_DEG, Block, Body
 from twin.parts.part import identity
@@ -55,8 +55,9 @@ def body_mesh(
     """
     sizing = Sizing.of(body, level)
     key = sizing.mesh_key(body)
-    if is_pinned():
-        if (path := pinned(mesh_file(key))) is None:
+    if (folder := pinned()) is not None:
+        path = folder / mesh_file(key)
+        if not path.is_file():
             raise MeshError(
                 f"mesh of level {level}: not among the given ones, and no other is made"
             )

@@ -78,7 +78,7 @@ class Quality:
             largest_dihedral_deg=float(np.max(angles)),
             least_scaled_jacobian=float(np.min(_scaled_jacobians(mesh.points, corner_tets))),
             least_jacobian_ratio=float(np.min(mesh.jacobian_ratios())),
-            largest_offset_mm=max(0.0, float(np.max(offsets(mesh, body)))),
+            largest_offset_mm=max(0.0, float(np.max(_offsets(mesh, body)))),
             open_edges=open_edges(mesh.faces),
             unclassified=_unclassified(mesh, body),
             volume_error=mesh.enclosed_volume() / body.volume_mm3 - 1,
@@ -130,7 +130,7 @@ def _scaled_jacobians(points: Points, tets: Ints) -> Floats:
     return np.asarray(np.sqrt(2) * 6 * signed_volumes(points, tets) / np.max(at_corner, axis=0))
 
 
-def offsets(mesh: Mesh, body: Body) -> Floats:
+def _offsets(mesh: Mesh, body: Body) -> Floats:
     """Return (f,) how far the six nodes of every boundary face are off its sheet, or outside any
     other, mm at most."""
     distance = body.sheet_distances(mesh.points[mesh.faces.ravel()]).reshape(len(mesh.faces), 6, -1)
