@@ -99,7 +99,8 @@ CONTACTS = Room(
         ),
         Plate(
             "friction",
-            "A sphere pressed, then pulled aside, with little and with much friction: the rim slips, the middle sticks.",
+            "A sphere pressed, then pulled aside, with little and with much friction: "
+            "the rim slips, the middle sticks.",
             """
             figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
             steps = [{"force_n": {"x": 0, "y": 0, "z": 0.2}}, {"force_n": {"x": 0.07, "y": 0, "z": 0.2}}]
