@@ -71,10 +71,11 @@ class TriangleTree:
         found: Any = reference(0)
         part, squared = reference(0), reference(0.0)
         triangle = np.empty(len(points), np.int64)
+        find, number = self._locator.FindClosestPoint, found.get
         # Tuples that are made one by one spare the garbage collector what lists of all would cost.
         for row, point in enumerate(zip(*points.T.tolist(), strict=True)):
-            self._locator.FindClosestPoint(point, place, cell, found, part, squared)
-            triangle[row] = found.get()
+            find(point, place, cell, found, part, squared)
+            triangle[row] = number()
         return triangle, *_onto_triangles(points, self._corners[triangle])
 
     def _nearest_of_all(self, points: Points) -> tuple[Ints, Points, Ints]:

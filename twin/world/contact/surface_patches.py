@@ -312,12 +312,14 @@ class Plane:
         whether they are on its sensing surface."""
         along = self.axes[2]
         points = self.origin_mm + middle @ self.axes[:2]
+        left = np.arange(len(points))  # those that are not on the surface yet
         for _ in range(30):
-            normals = body.piece_normals(points)[:, 0]
-            slope = np.maximum(normals @ along, _STEEP)
-            step = -body.depth(points) / slope
-            points = points + step[:, None] * along
-            if np.abs(step).max() < 1e-13 * (1.0 + np.abs(points).max()):
+            here = points[left]
+            slope = np.maximum(body.piece_normals(here)[:, 0] @ along, _STEEP)
+            step = -body.depth(here) / slope
+            points[left] = here + step[:, None] * along
+            left = left[~(np.abs(step) < 1e-13 * (1.0 + np.abs(points).max()))]
+            if len(left) == 0:
                 break
         normals = np.array(body.piece_normals(points)[:, 0])
         return points, normals, (np.abs(body.depth(points)) < 1e-9) & (normals @ along > _STEEP)
