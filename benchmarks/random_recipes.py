@@ -70,6 +70,9 @@ NARROW: dict[tuple[str, str], Strategy] = {
     ("Camera", "layers"): st.lists(
         st.fixed_dictionaries({"index": st.floats(1.0, 2.0), "thickness_mm": st.floats(0.1, 5.0)}), max_size=3
     ),
+    ("Marks", "count"): st.integers(1, 200),
+    ("Marks", "size_mm"): st.floats(0.01, 3.0),
+    ("Marks", "length_mm"): st.floats(0.0, 20.0),
     ("Light", "profile"): st.sampled_from([None, [[0.0, 1.0], [40.0, 0.5], [90.0, 0.0]]]),
     ("Light", "radius_mm"): st.floats(0.0, 3.0),
     ("Ccd", "crosstalk"): st.one_of(st.floats(0.0, 0.3), st.just([[0.9, 0.1, 0.0], [0.1, 0.8, 0.1], [0.0, 0.2, 0.8]])),

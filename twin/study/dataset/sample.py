@@ -421,14 +421,14 @@ def make_shard(folder: Path, shard: int) -> ShardBytes:
         words = {"twin.content": shop.content, "twin.samples": f"{numbers.start}-{numbers.stop}"}
         ours = [row for number, row in sensors.items() if number in firsts]
         return ShardBytes(
-            samples=_parquet(rows, plan.row_columns, words),
-            sensors=_parquet(ours, plan.sensor_columns, words) if ours else None,
+            samples=parquet(rows, plan.row_columns, words),
+            sensors=parquet(ours, plan.sensor_columns, words) if ours else None,
             failed=failed,
             reason=reason,
         )
 
 
-def _parquet(
+def parquet(
     rows: list[dict[str, Any]], columns: Sequence[Column], words: Mapping[str, str]
 ) -> bytes:
     """Return rows as a Parquet file; pictures are stored as they are, a few to a row group."""
