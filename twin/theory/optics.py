@@ -280,14 +280,15 @@ def transmission(p: Floats, body_index: float, layers: tuple[Camera.Layer, ...])
     return share
 
 
-def reflection(p: Any, one: float, two: float) -> Any:
+def reflection(p: Any, one: Any, two: Any) -> Any:
     """Return the shares of unpolarised light that an interface of refractive indices ``one`` and
     ``two`` sends back.
 
     Parameters
     ----------
     p
-        Tangents of the rays' angles to z in air, wherever the interface lies; a number or an array.
+        Tangents of the rays' angles to the interface's normal in air, wherever it lies, or in any
+        medium to whose index ``one`` and ``two`` are relative; all numbers or arrays.
 
     Notes
     -----

@@ -160,6 +160,7 @@ class Estimates:
         self._solve = solve
         self._watched = watched
         self._points = np.zeros((0, 3)) if watched is None else watched.points
+        self._known: dict[int, list[_Border]] = {}
 
     def of(self, state: ContactState, step: int) -> PressError:
         """Return the error of the state at the end of a step."""
@@ -169,14 +170,16 @@ class Estimates:
         patches = increments = Share.unknown()
         if other is not None:
             change = self._change(state, other)
-            factor = self._error_over_change(state, other)
+            borders = self._borders(state, step)
+            factor = self._error_over_change(state, other, borders)
             patches = self._cut(state, step, change.times(factor))
             # Tractions converge with order 1/2 to 1 only.
             tractions = [change.traction]
-            for setup, one in zip(self._job.setups, (state, *state.also), strict=True):
-                if len(one.pressure_mpa) and (setup.is_free_form or setup.has_inclined_face):
-                    tractions.append(_edge_traction_error(setup, one))
-                    if setup.has_inclined_face or _at_border(one).all():
+            for setup, border in zip(self._job.setups, borders, strict=True):
+                touches = len(border.state.pressure_mpa) > 0
+                if touches and (setup.is_free_form or setup.has_inclined_face):
+                    tractions.append(border.traction_error)
+                    if setup.has_inclined_face or border.patches.all():
                         tractions.append(_MORE_TRACTION * change.traction)
             patches = replace(patches, traction=max(tractions))
         if not self._job.friction.any() and self._job.relaxation is None:
@@ -220,24 +223,27 @@ class Estimates:
             self._watched.judge(error)
         return error
 
-    def _error_over_change(self, state: ContactState, other: ContactState) -> float:
+    def _borders(self, state: ContactState, step: int) -> list[_Border]:
+        """Return where each probe's contact ends at the end of a step."""
+        if step not in self._known:
+            pairs = zip(self._job.setups, (state, *state.also), strict=True)
+            self._known[step] = [_Border(setup, one) for setup, one in pairs]
+        return self._known[step]
+
+    def _error_over_change(
+        self, state: ContactState, other: ContactState, borders: list[_Border]
+    ) -> float:
         """Return the error over the change with the other patches: as much wider as fewer are
         across, but under objects, whose largest number of patches may end both alike.
 
         A power law goes through what is known of twice and half the width. Under objects it is the
         less steep, down to first order, the sharper their edges are.
         """
-        free = [one.is_free_form for one in self._job.setups]
         wider = self._job.setups[0].across / self._compared[0]
         sharp = 0.0
-        if any(free):
+        if any(one.is_free_form for one in self._job.setups):
             wider = _patch_mm(other) / _patch_mm(state)
-            parts = zip(self._job.setups, (state, *state.also), strict=True)
-            sharp = max(
-                _sharpness(setup, one)
-                for setup, one in parts
-                if setup.is_free_form and len(one.pressure_mpa)
-            )
+            sharp = max((border.sharpness for border in _of_objects(borders)), default=0.0)
         ratio = max(wider, 1.0 / wider, _ALIKE)
         if wider < 1.0:
             known = _NARROWER
@@ -321,34 +327,30 @@ class Estimates:
                 error = max(error, rim)
         by_force = self._job.steps[step].by_force[Z::MOTIONS].all()
         cut = Share(indentation=error / _STIFFER) if by_force else Share(force=error, markers=error)
-        edges = [
-            _edge_error(setup, one)
-            for setup, one in zip(self._job.setups, (state, *state.also), strict=True)
-            if setup.is_free_form and len(one.pressure_mpa)
-        ]
-        edge = max(edges, default=0.0)
+        borders = self._borders(state, step)
+        edge = max((border.force_error for border in _of_objects(borders)), default=0.0)
         least = Share(indentation=edge) if by_force else Share(force=edge, markers=edge)
         sideways = max(
-            self._stuck_border(number, one, step) for number, one in enumerate((state, *state.also))
+            self._stuck_border(number, border, step) for number, border in enumerate(borders)
         )
         return changed.plus(cut).at_least(least).plus(Share(force=sideways, markers=sideways))
 
-    def _stuck_border(self, number: int, state: ContactState, step: int) -> float:
+    def _stuck_border(self, number: int, border: _Border, step: int) -> float:
         """Return the error of the force sideways as patches that a smooth probe's border cuts stick
         as a whole, over the force: what their area is too large by."""
-        setup = self._job.setups[number]
+        setup, state = border.setup, border.state
         smooth = isinstance(setup.probe, Sphere | Cone) or setup.is_free_form
         held = self._job.steps[step].by_force[MOTIONS * number :]
         if not smooth or len(state.pressure_mpa) == 0:
             return 0.0
-        counted = float(_areas(_joined(Load(state.load.terms[:1]))).sum())
-        stuck = float((~state.slip[_at_border(state)]).mean()) if state.friction > 0.0 else 0.0
+        counted = float(_areas(border.load).sum())
+        stuck = float((~state.slip[border.patches]).mean()) if state.friction > 0.0 else 0.0
         # What is held by force sideways is as it should be; what is held by motion is too large.
         sideways = np.where(held[:Z], 0.0, setup.first.axes[:Z] @ state.force_n)
         excess = _WHOLE * abs(counted / state.area_mm2 - 1.0)
         least = _CUT_STUCK / self._job.setups[0].across
         if setup.is_free_form:  # its area is counted: patches stick as far as its edges are smooth
-            least = _CUT_STUCK * _patch_share(state) / 2.0 * (1.0 - _ends_sharply(setup, state))
+            least = _CUT_STUCK * border.patch_share / 2.0 * (1.0 - border.ends_sharply)
         return stuck * max(excess, least) * _over(sideways, state.force_n)
 
     def _half_space(self, load: Load, points: Points) -> Points:
@@ -499,85 +501,103 @@ def _patch_mm(state: ContactState) -> float:
     return math.sqrt(state.area_mm2 / max(1, len(state.pressure_mpa)))
 
 
-def _edge_error(setup: ProbeSetup, state: ContactState) -> float:
-    """Return the error of the force as patches cut an object's borders: sharp edges, where pressure
-    doesn't vanish, or smooth ones, which are longer the narrower the contact is."""
-    count = len(state.pressure_mpa)
-    longer = len(_open_sides(state)[0]) * math.sqrt(math.pi / count) / 8.0
-    smooth = _CUT_FREE * max(1.0, longer) ** 1.5 * math.pi / count
-    return float(max(_EDGE * _sharpness(setup, state) * _patch_share(state), smooth))
+@dataclass(frozen=True, eq=False)
+class _Border:
+    """Where one probe's contact ends."""
+
+    setup: ProbeSetup
+    state: ContactState
+
+    @cached_property
+    def load(self) -> Rectangles:
+        """The patches in contact, with their forces."""
+        return _joined(Load(self.state.load.terms[:1]))
+
+    @cached_property
+    def open_sides(self) -> tuple[Ints, Floats, Floats]:
+        """Of the m sides of patches beyond which none touches: the patch (m,), the direction
+        outwards (m, 3), and the patch's extent along it (m,), mm."""
+        from scipy.spatial import cKDTree
+
+        load = self.load
+        along = np.concatenate([load.frames[:, :2], -load.frames[:, :2]], axis=1)
+        side = 2.0 * np.tile(load.half_mm, (1, 2))
+        beyond = load.centre_mm[:, None] + side[..., None] * along
+        apart = cKDTree(load.centre_mm).query(beyond.reshape(-1, 3))[0].reshape(side.shape)
+        patch, way = np.nonzero(apart > side / 2.0)
+        return patch, along[patch, way], side[patch, way]
+
+    @cached_property
+    def patches(self) -> Bools:
+        """(k,) whether patches in contact lack one of their four neighbours."""
+        found = np.zeros(len(self.state.pressure_mpa), bool)
+        found[self.open_sides[0]] = True
+        return found
+
+    @cached_property
+    def ends_sharply(self) -> float:
+        """The share of it at which the object ends or folds: pressures don't show it where a
+        contact is few patches wide."""
+        patch, along, side = self.open_sides
+        load, first = self.load, self.setup.first
+        axes = first.axes
+        pose = np.concatenate([axes @ self.state.move_mm, axes @ np.radians(self.state.turns_deg)])
+
+        def gap_at(shares: Floats) -> Floats:
+            """Return the gaps at shares of the sides outwards from the middles of patches."""
+            places = load.centre_mm[patch] + (shares * side)[:, None] * along
+            return first.gap(places, load.frames[patch, 2], pose)[0]
+
+        # 1. Where the object's overlap with the body at rest ends, within a patch and a half.
+        low, high = np.zeros(len(patch)), np.full(len(patch), _OUTWARDS)
+        ends = (gap_at(low) < 0.0) & (gap_at(high) > 0.0)
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2.0
+            outside = gap_at(middle) > 0.0
+            low, high = np.where(outside, low, middle), np.where(outside, middle, high)
+        # 2. There the gap grows many times as fast as within.
+        at_end = gap_at(low)
+        inner = at_end - gap_at(low - 1.0)
+        outer = (gap_at(high + _STEP) - at_end) / _STEP
+        sharp = ends & (outer > _FOLDED * np.maximum(inner, 0.0))
+        return float(np.count_nonzero(sharp)) / max(1, len(sharp))
+
+    @property
+    def sharpness(self) -> float:
+        """How sharp it is: 0 where pressure vanishes there or the object goes on smoothly, 1 where
+        pressure is no less than elsewhere and the object ends."""
+        if not self.patches.any():
+            return 0.0
+        pressure = self.state.pressure_mpa
+        pressed = min(1.0, float(pressure[self.patches].mean() / pressure.mean()) ** 4)
+        return pressed * min(1.0, 2.0 * self.ends_sharply)
+
+    @property
+    def patch_share(self) -> float:
+        """The patches' side over the radius of a disc of the contact's area."""
+        side = 2.0 * self.load.half_mm.mean(axis=0).max()
+        return float(side / math.sqrt(self.state.area_mm2 / math.pi))
+
+    @property
+    def force_error(self) -> float:
+        """The error of the force as patches cut it: where it is sharp, pressure doesn't vanish;
+        where it is smooth, it is the longer the narrower the contact is."""
+        count = len(self.state.pressure_mpa)
+        longer = len(self.open_sides[0]) * math.sqrt(math.pi / count) / 8.0
+        smooth = _CUT_FREE * max(1.0, longer) ** 1.5 * math.pi / count
+        return float(max(_EDGE * self.sharpness * self.patch_share, smooth))
+
+    @property
+    def traction_error(self) -> float:
+        """The RMS error of tractions over their RMS as patches at sharp edges, where they grow
+        without bound, have one each."""
+        sharp = float(self.patches.mean()) * min(1.0, 2.0 * self.ends_sharply)
+        return _EDGE_TRACTION * math.sqrt(sharp)
 
 
-def _edge_traction_error(setup: ProbeSetup, state: ContactState) -> float:
-    """Return the RMS error of tractions over their RMS as patches at sharp edges, where they grow
-    without bound, have one each."""
-    sharp = float(_at_border(state).mean()) * min(1.0, 2.0 * _ends_sharply(setup, state))
-    return _EDGE_TRACTION * math.sqrt(sharp)
-
-
-def _patch_share(state: ContactState) -> float:
-    """Return the patches' side over the radius of a disc of the contact's area."""
-    side = 2.0 * _joined(Load(state.load.terms[:1])).half_mm.mean(axis=0).max()
-    return float(side / math.sqrt(state.area_mm2 / math.pi))
-
-
-def _sharpness(setup: ProbeSetup, state: ContactState) -> float:
-    """Return how sharp the edges of a contact are: 0 where pressure vanishes there or the object
-    goes on smoothly, 1 where pressure is no less than elsewhere and the object ends."""
-    border = _at_border(state)
-    if not border.any():
-        return 0.0
-    pressed = min(1.0, float(state.pressure_mpa[border].mean() / state.pressure_mpa.mean()) ** 4)
-    return pressed * min(1.0, 2.0 * _ends_sharply(setup, state))
-
-
-def _ends_sharply(setup: ProbeSetup, state: ContactState) -> float:
-    """Return the share of a contact's border at which the object ends or folds: pressures don't
-    show it where a contact is few patches wide."""
-    patch, along, side = _open_sides(state)
-    load = _joined(Load(state.load.terms[:1]))
-    axes = setup.first.axes
-    pose = np.concatenate([axes @ state.move_mm, axes @ np.radians(state.turns_deg)])
-
-    def gap_at(shares: Floats) -> Floats:
-        """Return the gaps at shares of the sides outwards from the middles of patches."""
-        places = load.centre_mm[patch] + (shares * side)[:, None] * along
-        return setup.first.gap(places, load.frames[patch, 2], pose)[0]
-
-    # 1. Where the object's overlap with the body at rest ends, within a patch and a half.
-    low, high = np.zeros(len(patch)), np.full(len(patch), _OUTWARDS)
-    ends = (gap_at(low) < 0.0) & (gap_at(high) > 0.0)
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2.0
-        outside = gap_at(middle) > 0.0
-        low, high = np.where(outside, low, middle), np.where(outside, middle, high)
-    # 2. There the gap grows many times as fast as within.
-    at_end = gap_at(low)
-    inner = at_end - gap_at(low - 1.0)
-    outer = (gap_at(high + _STEP) - at_end) / _STEP
-    sharp = ends & (outer > _FOLDED * np.maximum(inner, 0.0))
-    return float(np.count_nonzero(sharp)) / max(1, len(sharp))
-
-
-def _open_sides(state: ContactState) -> tuple[Ints, Floats, Floats]:
-    """Return for the m sides of patches beyond which none touches: the patch (m,), the direction
-    outwards (m, 3), and the patch's extent along it (m,), mm."""
-    from scipy.spatial import cKDTree
-
-    load = _joined(Load(state.load.terms[:1]))
-    along = np.concatenate([load.frames[:, :2], -load.frames[:, :2]], axis=1)
-    side = 2.0 * np.tile(load.half_mm, (1, 2))
-    beyond = load.centre_mm[:, None] + side[..., None] * along
-    apart = cKDTree(load.centre_mm).query(beyond.reshape(-1, 3))[0].reshape(side.shape)
-    patch, way = np.nonzero(apart > side / 2.0)
-    return patch, along[patch, way], side[patch, way]
-
-
-def _at_border(state: ContactState) -> Bools:
-    """Return (k,) whether patches in contact lack one of their four neighbours."""
-    border = np.zeros(len(state.pressure_mpa), bool)
-    border[_open_sides(state)[0]] = True
-    return border
+def _of_objects(borders: list[_Border]) -> list[_Border]:
+    """Return those of objects of any shape that touch."""
+    return [one for one in borders if one.setup.is_free_form and len(one.state.pressure_mpa)]
 
 
 def _alike(one: ContactState, other: ContactState) -> bool:

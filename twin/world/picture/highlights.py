@@ -19,7 +19,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Points, Singles
 from twin.compiled import njit
 from twin.parts.scene import Scene
-from twin.theory.optics import project_with_jacobian
+from twin.theory.optics import project_with_jacobian, reflection
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import Lamps
 from twin.world.picture.picture_job import Indices, occluders
@@ -65,11 +65,11 @@ def highlights(markers: Ellipsoids, scene: Scene, top: float) -> Singles:
         place = centres[:, None] + turned @ np.swapaxes(axes, 1, 2)
     distance = np.linalg.norm(towards, axis=2)
     cosine = np.sum(towards * normal, axis=2) / distance
-    mirrored = _fresnel(cosine, index / scene.material.refractive_index)
     free = _unhidden(markers, which, place, lamps.place, centres + 100 * view[:, 0])
     # What facets shadow and hide of each other is off (Smith), as at the middle of a highlight.
-    slant = 1 / np.maximum(cosine, 1e-3) ** 2 - 1
-    open_both_ways = (2 / (1 + np.sqrt(1 + roughness**2 * slant))) ** 2
+    slant = np.sqrt(1 / np.clip(cosine, 1e-3, 1) ** 2 - 1)
+    mirrored = reflection(slant, 1.0, index / scene.material.refractive_index)
+    open_both_ways = (2 / (1 + np.sqrt(1 + (roughness * slant) ** 2))) ** 2
     power = np.pi / 4 * mirrored * lamps.power / (distance**2 * top) * free * open_both_ways
 
     # A pixel's light is what comes from the area that it sees.
@@ -157,16 +157,6 @@ def _unit(vectors: Floats) -> Floats:
     """Return vectors of length 1."""
     unit: Floats = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
     return unit
-
-
-def _fresnel(cosine: Floats, index: Floats) -> Floats:
-    """Return the share of unpolarised light that a smooth face mirrors, into a medium of another
-    relative index above 1."""
-    inner = np.sqrt(index**2 - 1 + cosine**2)
-    across = (cosine - inner) / (cosine + inner)
-    along = (index**2 * cosine - inner) / (index**2 * cosine + inner)
-    share: Floats = (across**2 + along**2) / 2
-    return share
 
 
 def _unhidden(
