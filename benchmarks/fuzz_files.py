@@ -290,14 +290,17 @@ def make(folder: Path, readers: Iterable[str]) -> None:
     (base / "json.toml").write_text(LENS % "json")
     (base / "yaml.toml").write_text(LENS % "yaml")
     (base / "frames.raw").write_bytes(result.rest.tobytes() + result.pressed.tobytes())
-    save_as(result.pressed, base / "pressed.jpg")
+    # dots of 3 pixels: with colours at half the resolution none of them could be trusted
+    save_as(result.pressed, base / "pressed.jpg", quality=95, subsampling=0)
     save_as(result.pressed, base / "pressed.bmp")
     create_dataset(twin.load_scene("kamiyama_pillar", {**SMALL, **VARY}), base / "data", 2)
     (base / "dataset.toml").write_text((base / "data" / "meta" / "scene.toml").read_text())
     try:
         import imageio_ffmpeg
 
-        film = imageio_ffmpeg.write_frames(str(base / "film.mp4"), (160, 120), macro_block_size=1)
+        film = imageio_ffmpeg.write_frames(
+            str(base / "film.mp4"), (160, 120), macro_block_size=1, pix_fmt_out="yuv444p", quality=10
+        )
         film.send(None)
         for picture in (result.rest, result.pressed, result.pressed):
             film.send(np.ascontiguousarray(picture))
@@ -309,11 +312,11 @@ def make(folder: Path, readers: Iterable[str]) -> None:
     shutil.rmtree(base)
 
 
-def save_as(picture: np.ndarray, path: Path) -> None:
-    """Write a picture in the format that a name ends in."""
+def save_as(picture: np.ndarray, path: Path, **options: int) -> None:
+    """Write a picture in the format that a name ends in, with Pillow's options for it."""
     from PIL import Image
 
-    Image.fromarray(picture).save(path)
+    Image.fromarray(picture).save(path, **options)
 
 
 def box_stl(width: float, length: float, height: float) -> bytes:

@@ -153,7 +153,8 @@ class Problem:
         if used.sum() < 2:
             raise InputError(
                 f"only {int(used.sum())} of {len(used)} markers were found in both pictures, at "
-                f"least 2 are needed: check exposure, layout and channels"
+                "least 2 are needed: check exposure, layout, channels and compression (colours of "
+                "JPEG and video have half the resolution unless 4:4:4 is asked for)"
             )
         known, noise, share = _weights(found, calibration, used, METHODS[method].weighted)
         base = _base(calibration, METHODS[method], known, noise)
