@@ -35,8 +35,14 @@ a flat one."""
 Pixels: TypeAlias = NDArray[np.float64]
 """(n, 2) picture positions, px, (column, row)."""
 
-Picture: TypeAlias = NDArray[np.uint8]
-"""(height, width, 3) CCD counts, red, green, blue."""
+Picture: TypeAlias = NDArray[np.uint8 | np.uint16]
+"""(height, width, 3) CCD counts, red, green, blue, the largest of which is that of the array's
+type: 255, or 65535 of cameras of more than 8 bits."""
+
+
+def eight_bits(picture: Picture) -> NDArray[np.uint8]:
+    """Return a picture in 8 bits, to look at."""
+    return (picture >> 8 if picture.dtype == np.uint16 else picture).astype(np.uint8, copy=False)
 
 
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Points
+from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits
 from twin.errors import MissingCapability
 
 _MAP = "PuOr_r"
@@ -247,7 +247,7 @@ def _in_px(ax: Any, picture: Picture | None) -> None:
     if picture is None:
         ax.invert_yaxis()
     else:
-        ax.imshow(picture, cmap="gray")  # of one channel; colours are shown as they are
+        ax.imshow(eight_bits(picture), cmap="gray")  # of one channel; colours are shown as they are
     ax.set_aspect("equal")
     ax.set_xlabel("column (px)")
     ax.set_ylabel("row (px)")

@@ -282,8 +282,8 @@ def file_digest(path: Path) -> str:
 
 
 def png_bytes(picture: Picture) -> bytes:
-    """Return a uint8 picture, (height, width, 3) or grey (height, width), as a PNG file (W3C, PNG
-    3rd edition, 8 bits).
+    """Return a picture, (height, width, 3) or grey (height, width) uint8 or uint16, as a PNG file
+    (W3C, PNG 3rd edition).
 
     Notes
     -----
@@ -296,19 +296,41 @@ def png_bytes(picture: Picture) -> bytes:
     import numpy as np
 
     is_grey = picture.ndim == 2
-    if (not is_grey and picture.shape[2:] != (3,)) or picture.dtype != np.uint8:
+    if (not is_grey and picture.shape[2:] != (3,)) or picture.dtype not in (np.uint8, np.uint16):
         raise InputError(
-            "a picture must be (height, width, 3) or (height, width) uint8, got "
+            "a picture must be (height, width, 3) or (height, width) uint8 or uint16, got "
             f"{picture.shape} {picture.dtype}"
         )
     height, width = picture.shape[:2]
+    bits = 8 * picture.dtype.itemsize
     row = picture.reshape(height, -1)
+    if bits == 16:
+        row = row.astype(">u2").view(np.uint8)
     lines = np.zeros((height, 1 + row.shape[1]), np.uint8)
     lines[:, 1:] = row
-    head = struct.pack(">IIBBBBB", width, height, 8, 0 if is_grey else 2, 0, 0, 0)
+    head = struct.pack(">IIBBBBB", width, height, bits, 0 if is_grey else 2, 0, 0, 0)
     packed = deflate.zlib_compress(lines.tobytes(), 1)
     chunks = [_chunk(b"IHDR", head), _chunk(b"IDAT", packed), _chunk(b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def picture_of_png(data: bytes) -> Picture | None:
+    """Return the (height, width, channels) uint16 picture in the bytes of a PNG file that is known
+    to be whole, None of one of fewer bits: Pillow reads colours as 8 bits."""
+    if data[24:25] != b"\x10":
+        return None
+    import numpy as np
+    from vtkmodules.vtkIOCore import vtkMemoryResourceStream
+    from vtkmodules.vtkIOImage import vtkPNGReader
+
+    stream, reader = vtkMemoryResourceStream(), vtkPNGReader()
+    stream.SetBuffer(data, len(data))
+    reader.SetStream(stream)
+    reader.Update()
+    image = reader.GetOutput()
+    width, height, _ = image.GetDimensions()
+    values: Picture = np.asarray(image.GetPointData().GetScalars(), np.uint16)
+    return values.reshape(height, width, -1)[::-1].copy()
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:

@@ -39,7 +39,8 @@ def loader(
     def batch(samples: list[dict[str, np.ndarray]]) -> dict[str, torch.Tensor]:
         pictures = np.stack([s["picture"] for s in samples]).transpose(0, 3, 1, 2)
         made = {name: torch.from_numpy(np.array([s[name] for s in samples])).float() for name in labels}
-        return {"picture": torch.from_numpy(pictures).float() / 255, **made}
+        most = np.iinfo(pictures.dtype).max
+        return {"picture": torch.from_numpy(pictures.astype(np.float32) / most), **made}
 
     return DataLoader(data, batch_size=batch_size, shuffle=True, num_workers=workers, collate_fn=batch)
 

@@ -277,11 +277,21 @@ def test_order_and_results_are_fixed():
         found.shift_px[0] = 0
 
 
+def test_a_picture_stretched_to_16_bits_has_the_same_shifts():
+    pictures = picture(0.0, 1), picture(0.4, 2)
+    one, two = (
+        track(*(p.astype(kind) * factor for p in pictures), LAYOUT)
+        for kind, factor in ((np.uint8, 1), (np.uint16, 257))
+    )
+    assert two.shift_px == pytest.approx(one.shift_px, abs=1e-4)
+    assert two.sd_px == pytest.approx(one.sd_px, rel=1e-3)
+
+
 def test_unusable_arguments():
     rest = picture(0.0, 1)
     for arguments, words in (
-        ((rest / 255, rest, LAYOUT), "8-bit"), ((rest, np.where(rest > 100, np.nan, rest), LAYOUT), "8-bit"),
-        ((rest, rest.astype(np.uint16) * 256, LAYOUT), "8-bit"), ((rest, rest[:, : SIZE[0] // 2], LAYOUT), "mode"),
+        ((rest / 255, rest, LAYOUT), "8 or 16"), ((rest, np.where(rest > 100, np.nan, rest), LAYOUT), "8 or 16"),
+        ((rest, rest.astype(np.uint16), LAYOUT), "by 64"), ((rest, rest[:, : SIZE[0] // 2], LAYOUT), "mode"),
         ((rest, np.dstack([rest, rest[..., :1]]), LAYOUT), "channels"), ((rest, rest, {}), "no layers"),
         ((rest, rest, {"red": np.full((3, 2), np.nan)}), "finite"),
     ):  # fmt: skip

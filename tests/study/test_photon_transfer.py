@@ -38,8 +38,17 @@ def test_noise_that_eight_bits_hide_is_said_to_be_hidden():
     found = photon_transfer(hidden)
     lines = {line.split()[0]: line for line in found.lines(hidden)}
     assert "unknown electrons, stated 32; variance" in lines["dark"]
-    assert "too little, hidden by 8 bits" in lines["dark"]
+    assert "too little, hidden by rounding" in lines["dark"]
     assert np.isnan(found.dark_noise_e)
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+def test_more_bits_show_the_noise_that_eight_hide(bits):
+    found = photon_transfer(Ccd(full_well_e=60000.0, bits=bits))
+    assert found.gain_dn_e == pytest.approx((2**bits - 1) / 60000, rel=0.01)
+    assert found.dark_noise_e == pytest.approx(32, rel=0.02)
+    assert found.dark_variance_dn2 == pytest.approx((32 * found.gain_dn_e) ** 2 + 1 / 12, rel=0.02)
+    assert found.linearity_pct < 0.01
 
 
 def test_a_camera_without_noise_is_refused():

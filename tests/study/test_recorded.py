@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "sense"))
@@ -22,7 +23,7 @@ from half_space_sensor import _sensor, disk, grid, jacobian, shifts
 from benchmarks.discs import expose, scene
 from twin.cli import main
 from twin.errors import InputError
-from twin.files import read_arrays
+from twin.files import png_bytes, read_arrays
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import track
 from twin.study.recorded import VIDEOS, read_picture
@@ -271,25 +272,33 @@ def test_a_bad_frame_is_told_and_the_sequence_goes_on(folder):
     assert done.returncode == 3
     table = rows(folder / "b.csv")
     assert [row["ok"] for row in table] == ["True", *["False"] * 5, "True"]
-    words = ("can't be read", "markers were found", "camera mode", "8 bits", "no such picture")
+    words = ("can't be read", "markers were found", "camera mode", "12 bits", "no such picture")
     assert all(word in row["reason"] for word, row in zip(words, table[1:6], strict=True))
     assert float(table[6]["fz_n"]) == pytest.approx(float(table[0]["fz_n"]), abs=0.02)
     assert "5 of 7 frames failed" in done.stderr
 
 
-def test_16_bit_colours_are_refused_not_cut_to_8(tmp_path):
+def test_16_bit_colours_are_read_whole(tmp_path):
     """Pillow opens such a file as an ordinary RGB picture."""
+    deep = np.random.default_rng(1).integers(2**16, size=(5, 7, 3), dtype=np.uint16)
+    for name, picture in (("colour", deep), ("grey", deep[:, :, 1])):
+        (tmp_path / f"{name}.png").write_bytes(png_bytes(picture))
+        assert_array_equal(read_picture(tmp_path / f"{name}.png"), picture)
 
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     head = chunk(b"IHDR", struct.pack(">IIBBBBB", 5, 4, 16, 2, 0, 0, 0))
-    rows_of = chunk(b"IDAT", zlib.compress((b"\0" + b"\x12\x34" * 15) * 4))
+    up = (b"\2" + b"\0\1" * 15) * 3  # each line is the one above, and 1
+    rows_of = chunk(b"IDAT", zlib.compress(b"\0" + b"\x12\x34" * 15 + up))
     (tmp_path / "deep.png").write_bytes(b"\x89PNG\r\n\x1a\n" + head + rows_of + chunk(b"IEND", b""))
     with Image.open(tmp_path / "deep.png") as opened:
         assert opened.mode == "RGB"
-    with pytest.raises(InputError, match="more than 8 bits"):
-        read_picture(tmp_path / "deep.png")
+    assert_array_equal(read_picture(tmp_path / "deep.png")[:, 2, 1], 0x1234 + np.arange(4))
+    whole = (tmp_path / "deep.png").read_bytes()
+    (tmp_path / "cut.png").write_bytes(whole[:-30])
+    with pytest.raises(InputError, match="can't be read"):
+        read_picture(tmp_path / "cut.png")
 
 
 def test_a_bumped_camera_and_a_turned_picture_are_said(folder):

@@ -374,7 +374,7 @@ PRESETS = MappingProxyType(
 
 
 class Ccd(Part):
-    """An 8-bit colour CCD and what lies between it and the computer.
+    """A colour CCD and what lies between it and the computer.
 
     Attributes
     ----------
@@ -433,7 +433,10 @@ class Ccd(Part):
         picture.
     adc_bits
         Bits to which each pixel is read before white balance and gamma; 0: no rounding but the last
-        one, to 8 bits.
+        one, to ``bits``.
+    bits
+        Bits of a picture's counts. Those of 10 and 12 bits are stretched to 16, as PNG wants; all
+        counts in this table are of 255 nevertheless.
     noise
         False leaves all noise, every fixed pattern and flicker out.
     white_dn
@@ -498,6 +501,7 @@ class Ccd(Part):
     auto_gain: Share = 0.0
     white_balance: tuple[Gain, Gain, Gain] | Literal["grey"] | Off = "off"
     adc_bits: int = Field(default=0, ge=0, le=16)
+    bits: Literal[8, 10, 12] = 8
     exposure: float = Field(default=1.0, gt=0, le=1000)
     black_dn: float | None = Field(default=None, ge=0, le=100)
     bayer: Mosaic | None = None
@@ -534,6 +538,8 @@ class Ccd(Part):
             raise ValueError(
                 f"bandwidth_mhz = {band}: each must be 0.05 to 100 MHz, or all of it 'off'"
             )
+        if self.bits > 8 and isinstance(self.spelt_out().jpeg_quality, int):
+            raise ValueError(f"bits = {self.bits}: JPEG has 8; set jpeg_quality = 'off'")
         return self
 
     @model_validator(mode="after")

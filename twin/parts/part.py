@@ -64,6 +64,7 @@ LATER: tuple[tuple[str, object], ...] = (
     ("auto_gain", 0.0),
     ("white_balance", "off"),
     ("adc_bits", 0),
+    ("bits", 8),
     ("abbe_number", None),
     ("scratches", None),
     ("bubbles", None),

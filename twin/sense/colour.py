@@ -58,26 +58,36 @@ class Flaws:
         """Find the flaws of a picture."""
         return cls(blocks=_colour_blocks(picture), bad=_bad_pixels(picture))
 
+    def mended(self, picture: Picture) -> Picture:
+        """Return a picture less these flaws."""
+        if len(self.bad[0]):
+            picture = _repaired(picture, self.bad)
+        return picture if self.blocks is None else _interpolate_colours(picture, self.blocks)
 
-def as_picture(
-    image: NDArray[np.generic],
-    what: str,
-    flaws: Flaws | None = None,
-) -> Picture:
-    """Return ``image`` as a contiguous (h, w, 3) uint8 picture, less its ``flaws``; a grey one is
-    repeated in all channels.
+
+def as_picture(image: NDArray[np.generic], what: str) -> Picture:
+    """Return ``image`` as a contiguous (h, w, 3) picture in counts of 255, singles if it has 16
+    bits; a grey one is repeated in all channels.
 
     Raises
     ------
     InputError
-        It isn't an 8-bit picture of one or three channels.
+        It isn't a picture of one or three channels of 8 bits, or of 16 that are used.
     """
     picture = np.asarray(image)
-    if picture.dtype != np.uint8 or picture.ndim not in (2, 3) or 0 in picture.shape:
+    known = picture.dtype in (np.uint8, np.uint16)
+    if not known or picture.ndim not in (2, 3) or 0 in picture.shape:
         raise InputError(
-            f"{what} must be 8-bit counts of shape (height, width, 3) or (height, width), got "
-            f"{picture.dtype} of shape {picture.shape}: convert it first"
+            f"{what} must be counts of 8 or 16 bits of shape (height, width, 3) or (height, "
+            f"width), got {picture.dtype} of shape {picture.shape}: convert it first"
         )
+    if picture.dtype == np.uint16:
+        if picture.max() < _UNSTRETCHED:
+            raise InputError(
+                f"{what} has no count above {picture.max()}, but 65535 is the largest of 16 bits: "
+                "multiply counts of 10 bits by 64, of 12 bits by 16"
+            )
+        picture = picture / np.float32(257)
     if picture.ndim == 2:
         picture = np.repeat(picture[:, :, None], 3, axis=2)
     if picture.shape[2] != 3:
@@ -86,13 +96,12 @@ def as_picture(
             "drop the others"
         )
     picture = np.ascontiguousarray(picture)
-    if flaws is not None and len(flaws.bad[0]):
-        picture = _repaired(picture, flaws.bad)
-    if flaws is not None and flaws.blocks is not None:
-        return _interpolate_colours(picture, flaws.blocks)
     # one type for the compiled kernels
     return picture if picture.flags.writeable else picture.copy()
 
+
+_UNSTRETCHED = 4096
+"""Counts of 16 bits below this are those of 12 bits that nobody has stretched."""
 
 LUMA = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in the brightness that JPEG and H.264 keep at full resolution
@@ -263,10 +272,10 @@ def _repaired(picture: Picture, bad: tuple[Ints, Ints, Ints]) -> Picture:
         return np.asarray(out[rows, columns, channel].astype(np.int64))
 
     # first by the neighbours' median, which other bad pixels do not move
-    out[bad] = np.median([beside(*step) for step in RING], axis=0).astype(np.uint8)
+    out[bad] = np.median([beside(*step) for step in RING], axis=0).astype(out.dtype)
     near = sum(beside(*step) for step in ((0, 1), (0, -1), (1, 0), (-1, 0)))
     far = sum(beside(*step) for step in ((0, 2), (0, -2), (2, 0), (-2, 0)))
-    out[bad] = np.clip(np.rint((4 * near - far) / 12), 0, 255).astype(np.uint8)
+    out[bad] = np.clip(np.rint((4 * near - far) / 12), 0, 255).astype(out.dtype)
     return out
 
 

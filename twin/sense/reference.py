@@ -92,7 +92,7 @@ def analyse_rest(
     """Find the markers of ``layout`` in the rest picture; parameters as for `twin.track`."""
     picture = as_picture(rest_image, "the rest picture")
     flaws = Flaws.of(picture)
-    picture = as_picture(picture, "the rest picture", flaws)
+    picture = flaws.mended(picture)
     drawn = _checked_layout(layout)
     _check_options(drawn, diameter_px, polarity, channels, method)
     size = min(spacing(p) for p in drawn.values())

@@ -330,7 +330,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
         raise InputError(
             f"start_px must be {rest.rest_px.shape} px, one row a marker, got {np.shape(start_px)}"
         )
-    picture = as_picture(picture, "the picture", rest.flaws)
+    picture = rest.flaws.mended(picture)
     shift = np.full(rest.rest_px.shape, np.nan)
     sd = np.full(len(rest.rest_px), np.nan)
     state = np.full(len(rest.rest_px), MISSING, np.uint8)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.arrays import Picture
+from twin.arrays import Picture, eight_bits
 
 
 def digits(value: float) -> str:
@@ -70,7 +70,7 @@ def small_picture(picture: Picture) -> str:
     from PIL import Image
 
     file = io.BytesIO()
-    Image.fromarray(picture).save(file, "WEBP", quality=80)
+    Image.fromarray(eight_bits(picture)).save(file, "WEBP", quality=80)
     return f"data:image/webp;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Points
+from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits
 from twin.display import nice, spacing
 from twin.files import png_bytes
 from twin.parts.part import UNITS
@@ -236,7 +236,7 @@ def _data_uri(picture: Picture) -> tuple[str, float]:
     the page's size."""
     step = -(-picture.shape[1] // _WIDEST_PX)
     while True:
-        content = png_bytes(_reduced(picture, step))
+        content = png_bytes(_reduced(eight_bits(picture), step))
         if len(content) <= _PICTURE_BYTES or step >= min(picture.shape[:2]):
             return f"data:image/png;base64,{base64.b64encode(content).decode()}", 1 / step
         step += 1

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats, Picture, Pixels, Progress, Singles
+from twin.arrays import Floats, Picture, Pixels, Progress, Singles, eight_bits
 from twin.blas_threads import one_blas_thread
 from twin.errors import ContactError, InputError, RecipeError, SomeFailed
 from twin.files import make_folder, png_bytes, write_whole
@@ -298,7 +298,7 @@ def write_film(sensor: Sensor, out: Path) -> str:
             for picture in [*pictures, *[pictures[-1]] * (_LAST_MS // _FRAME_MS - 1)]:
                 video.add(picture)
     else:
-        frames = [Image.fromarray(picture) for picture in pictures]
+        frames = [Image.fromarray(eight_bits(picture)) for picture in pictures]
         times = [_FRAME_MS] * (len(frames) - 1) + [_LAST_MS]
         file = io.BytesIO()
         frames[0].save(file, kind, save_all=True, append_images=frames[1:], duration=times, loop=0)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from twin.arrays import Picture
+from twin.arrays import Picture, eight_bits
 from twin.errors import InputError, RecipeError
 from twin.files import make_folder, png_bytes, write_whole
 from twin.parts.scene import Scene
@@ -285,7 +285,7 @@ def _draw_layout(picture: Picture, found: FoundLayout) -> Picture:
     it; rings without numbers are spots on no grid."""
     from PIL import Image, ImageDraw
 
-    image = Image.fromarray(picture).convert("RGB")
+    image = Image.fromarray(eight_bits(picture)).convert("RGB")
     scale = max(1, round(LEAST_WIDTH_PX / image.width))
     image = image.resize((image.width * scale, image.height * scale), Image.Resampling.NEAREST)
     draw = ImageDraw.Draw(image)

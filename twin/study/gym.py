@@ -62,7 +62,7 @@ class TactileEnv(gymnasium.Env[dict[str, np.ndarray], Floats]):  # type: ignore[
         seen = _arrays(self._last)
         self.observation_space = spaces.Dict(
             {
-                key: spaces.Box(0, 255, value.shape, np.uint8)
+                key: spaces.Box(0, np.iinfo(value.dtype).max, value.shape, value.dtype.type)
                 if key == "picture"
                 else spaces.Box(-np.inf, np.inf, value.shape, np.float64)
                 for key, value in seen.items()

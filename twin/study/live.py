@@ -31,7 +31,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
-from twin.arrays import Bools, Progress
+from twin.arrays import Bools, Progress, eight_bits
 from twin.errors import ContactError, InputError, RecipeError, TwinError
 from twin.files import plain
 from twin.parts.press import Press, Step
@@ -252,7 +252,7 @@ class LivePress:
         table = self._table(hand, seen) | {"time_s": self._time_s}
         table |= {"milliseconds": 1e3 * (time.perf_counter() - started)}
         text = json.dumps(plain(table), allow_nan=False).encode()
-        return struct.pack("<I", len(text)) + text + seen.picture.tobytes()
+        return struct.pack("<I", len(text)) + text + eight_bits(seen.picture).tobytes()
 
     def served(self, page: str, port: int = 0) -> _Loopback:
         """Return a page (HTML) on the loopback address, which replies by `answer`; port 0 is any

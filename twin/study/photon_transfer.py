@@ -92,7 +92,7 @@ class _PhotonTransfer:
         full = ccd.spelt_out()
         assert full.full_well_e is not None
         black = _black_dn(ccd)
-        gain = (255 - black) / full.full_well_e
+        gain = (2**ccd.bits - 1) * (1 - black / 255) / full.full_well_e
         spread = np.hypot(full.dsnu_e or 0.0, full.column_noise_e)
         enough = self.dark_variance_dn2 >= LEAST_DARK_DN2
         measured = f"{self.dark_noise_e:.3g}" if enough else "unknown"
@@ -100,13 +100,13 @@ class _PhotonTransfer:
             f"{20 * np.log10(self.dynamic_range):.3g} dB" if enough else "unknown, as dark noise is"
         )
         return [
-            f"chip        {full.preset}, by EMVA 1288: without lens, mosaic, gamma, video, "
-            "compression",
+            f"chip        {full.preset}, {ccd.bits} bits, by EMVA 1288: without lens, mosaic, "
+            "gamma, video, compression",
             f"gain        {self.gain_dn_e:.4g} counts an electron, stated {gain:.4g} "
             f"at black level {black:g}",
             f"dark noise  {measured} electrons, stated {_dark_e(ccd):.3g}; variance "
             f"{self.dark_variance_dn2:.3g} counts^2 with rounding, needed {LEAST_DARK_DN2:g}: "
-            f"{'enough' if enough else 'too little, hidden by 8 bits'}",
+            f"{'enough' if enough else 'too little, hidden by rounding'}",
             f"saturation  {self.saturation_e:.4g} electrons, stated {full.full_well_e:.4g}",
             f"SNR         {self.snr_max:.3g} at most ({20 * np.log10(self.snr_max):.3g} dB)",
             f"dynamic range {below}",
@@ -146,9 +146,12 @@ def photon_transfer(ccd: Ccd, seed: int = 1) -> _PhotonTransfer:
     response = chip.response.sum(axis=1)
     channel = int(np.argmax(response))
 
+    most = 2**ccd.bits - 1
+
     def flat(level: float) -> Floats:
         light = np.full((*SIZE_PX, 3), level / response[channel], np.float32)
-        return expose(light, chip, rng, pattern)[:, :, channel].astype(float)
+        counts = expose(light, chip, rng, pattern)[:, :, channel]
+        return np.asarray(np.rint(counts * (most / np.iinfo(counts.dtype).max)))
 
     # Mean and variance in time at every level, of two pictures each: the difference has no pattern.
     pairs = [(flat(level), flat(level)) for level in _LEVELS]
@@ -199,4 +202,6 @@ def _black_dn(ccd: Ccd) -> float:
     full = ccd.spelt_out()
     assert full.full_well_e is not None
     spread = np.hypot(full.dsnu_e or 0.0, full.column_noise_e)
-    return float(np.ceil(6 * 255 * np.hypot(_dark_e(ccd), spread) / full.full_well_e) + 0.25)
+    most = 2**ccd.bits - 1
+    least = 6 * most * np.hypot(_dark_e(ccd), spread) / full.full_well_e
+    return float((np.ceil(least) + 0.25) * 255 / most)

@@ -32,10 +32,10 @@ from typing import IO, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Points
+from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits
 from twin.display import nice, spacing
 from twin.errors import InputError, MissingCapability, SomeFailed, TwinError
-from twin.files import LARGEST_PX, make_folder, png_bytes, write_whole
+from twin.files import LARGEST_PX, make_folder, picture_of_png, png_bytes, write_whole
 from twin.parts.scene import Reconstruction
 from twin.sense.calibration import Calibration, read_calibration
 from twin.sense.inverse import METHODS
@@ -197,7 +197,8 @@ def reconstruct_recording(
 
 
 def read_picture(path: str | os.PathLike[str]) -> Picture:
-    """Read a PNG, BMP or JPEG file of 8 bits a channel as (h, w, 3) or, if grey, (h, w) uint8.
+    """Read a PNG, BMP or JPEG file as (h, w, 3) or, if grey, (h, w) uint8; uint16 of a PNG of 16
+    bits a channel.
 
     Raises an `InputError` where it is damaged, or its pixels are of another kind.
     """
@@ -212,10 +213,15 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
                 raise InputError(
                     f"{path}: {width}x{height} px are more than {LARGEST_PX:,}: crop it"
                 )
-            stored = str(image.tile[0].args) if image.tile else ""  # "RGB;16B" opens as RGB
-            if mode.startswith(("I", "F")) or ";16" in stored:
+            if image.format == "PNG":
+                image.load()
+                deep = picture_of_png(Path(path).read_bytes())
+                if deep is not None:
+                    grey = deep.shape[2] < 3
+                    return deep[:, :, 0].copy() if grey else np.ascontiguousarray(deep[:, :, :3])
+            if mode.startswith(("I", "F")):
                 raise InputError(
-                    f"{path}: has more than 8 bits a channel ({mode}): convert it to 8 bits first"
+                    f"{path}: pixels are {mode}: convert them to 8 bits, or 16-bit PNG"
                 )
             if mode in ("CMYK", "YCbCr", "LAB", "HSV"):
                 raise InputError(
@@ -464,7 +470,7 @@ class VideoWriter:
         """Append a picture, or raise `TwinError`."""
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(np.ascontiguousarray(picture).data)
+            self._process.stdin.write(np.ascontiguousarray(eight_bits(picture)).data)
         except OSError:
             self.close()
 
@@ -1045,7 +1051,7 @@ def _overlay(picture: Picture, found: Found | None, text: str, times: float) -> 
     without a shift are circles. Colours show the states."""
     from PIL import Image, ImageDraw
 
-    image = Image.fromarray(picture).convert("RGB")
+    image = Image.fromarray(eight_bits(picture)).convert("RGB")
     draw = ImageDraw.Draw(image)
     rows = (found.rest_px, found.shift_px, found.seen, found.states) if found else ()
     for (x, y), (dx, dy), fine, state in zip(*rows, strict=True):

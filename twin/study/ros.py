@@ -4,7 +4,7 @@ ROS.
 =============  ===============================  =================================================
 topic          type                             holds
 =============  ===============================  =================================================
-image          sensor_msgs/msg/Image            CCD picture, ``rgb8``
+image          sensor_msgs/msg/Image            CCD picture, ``rgb8`` or ``rgb16``
 camera_info    sensor_msgs/msg/CameraInfo       nominal lens as in air, without the layers
 wrench         geometry_msgs/msg/WrenchStamped  recovered total force and torque about the origin
 wrench_true    geometry_msgs/msg/WrenchStamped  the true ones; no real sensor has this topic
@@ -119,14 +119,15 @@ def _header(stamp_ns: int, frame_id: str) -> Table:
 
 def _image(header: Table, picture: np.ndarray) -> Table:
     height, width, _ = picture.shape
+    size = picture.dtype.itemsize
     return {
         "header": header,
         "height": height,
         "width": width,
-        "encoding": "rgb8",
+        "encoding": f"rgb{8 * size}",
         "is_bigendian": 0,
-        "step": 3 * width,
-        "data": np.ascontiguousarray(picture).reshape(-1),
+        "step": 3 * width * size,
+        "data": np.ascontiguousarray(picture).reshape(-1).view(np.uint8),
     }
 
 

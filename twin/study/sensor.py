@@ -642,7 +642,7 @@ class Sensor:
 
         noise = stream(self.nominal.seed, Purpose.EXPOSURE, exposure)
         picture = expose(radiance, self.nominal.ccd, noise, self.pattern, before)
-        full = picture == 255
+        full = picture == np.iinfo(picture.dtype).max
         share = float((full[:, :, 0] | full[:, :, 1] | full[:, :, 2]).mean())
         if share > SATURATED and self.saturation is None:
             self.saturation = (

@@ -30,7 +30,7 @@ def test_what_is_off_changes_no_description():
     assert "abbe_number" not in identity(table["material"])
     assert "dust" not in identity(table["camera"])
     assert "gloss" not in identity(table["markers"]["red"])
-    new = ("pixels", "row", "column", "haze", "ghost", "smear", "flicker", "auto", "balance", "adc")
+    new = ("pixels", "row", "column", "haze", "ghost", "smear", "flicker", "auto", "balance", "adc", "bits")
     assert not [key for key in identity(table["ccd"]) if any(part in key for part in new)]
 
 
@@ -298,6 +298,18 @@ def test_few_bits_before_gamma_leave_gaps_after_it():
     assert len(np.unique(counts_of(ramp, adc_bits=6, gamma=2.2))) == 64
     assert np.unique(counts_of(ramp, adc_bits=8, gamma=2.2))[1] == round(255 * (1 / 255) ** (1 / 2.2))
     assert_allclose(counts_of(ramp, adc_bits=12), counts_of(ramp), atol=1)
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+def test_more_bits_are_stretched_to_16(bits):
+    ramp = np.linspace(0, 1, 4096)[None, :, None] * np.ones((4, 1, 3))
+    counts = expose(ramp.astype(np.float32), ideal(bits=bits, black_dn=51.0), np.random.default_rng(1))
+    levels = np.rint(ramp * (2**bits - 1) * 0.8 + (2**bits - 1) * 0.2)
+    assert counts.dtype == np.uint16
+    assert (np.abs(counts / 65535 * (2**bits - 1) - levels) < 0.5).mean() > 0.999  # but where they are at a half
+    assert_array_equal(counts >> (16 - bits), np.rint(counts / 65535 * (2**bits - 1)))
+    with pytest.raises(RecipeError, match=f"bits = {bits}: JPEG has 8"):
+        Ccd(preset="sato_60fps", bits=bits)
 
 
 # Gloss

@@ -17,7 +17,7 @@ import numpy as np
 from twin.arrays import Floats, Picture, Pixels, Points
 from twin.display import nice
 from twin.errors import InputError, did_you_mean
-from twin.files import LARGEST_PX, write_whole
+from twin.files import LARGEST_PX, picture_of_png, write_whole
 from twin.parts.camera import Camera
 from twin.show import html_page
 from twin.show.html_page import small_picture, two_columns
@@ -112,7 +112,9 @@ class DatasetReader:
         with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
             if image.width * image.height > LARGEST_PX:
                 raise ValueError(f"{image.width}x{image.height} px are more than {LARGEST_PX:,}")
-            return np.array(image)
+            image.load()
+            deep = picture_of_png(data)
+            return np.array(image) if deep is None else deep
 
     def __len__(self) -> int:
         return self._starts[-1]

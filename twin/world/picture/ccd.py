@@ -1,9 +1,9 @@
-"""The CCD: from light on the sensor to 8-bit counts.
+"""The CCD: from light on the sensor to counts.
 
 The chain follows the hardware: haze and ghosts, exposure, blur by the optics, colour filters, the
 mosaic, electrons with shot and read noise, dark current and the pixels' own gains and offsets (EMVA
 1288, secs. 2 and 4), full wells, interpolation of the mosaic, gain and white balance, gamma,
-composite video, 8 bits, compression. It acts on the rendered light, so one picture can be exposed
+composite video, rounding, compression. It acts on the rendered light, so one picture can be exposed
 many times.
 
 Noise is a hash of the pixel's number, so that the bytes are the same on any number of threads. A
@@ -45,7 +45,7 @@ from twin.world.picture.cover import stretch
 Segments = NDArray[np.float32]
 """(n, 2) value at 0 and slope of each straight piece of a function, 64 between two powers of 2."""
 
-_FULL_SCALE = 255
+_FULL_SCALE, _STRETCHED = 255, 65535
 _NOTHING = np.zeros((0, 0), np.float32)
 _LINEAR: Segments = np.zeros((0, 2), np.float32)
 _REORDER = {"contract", "arcp", "reassoc", "nsz"}
@@ -136,7 +136,8 @@ def expose(
 
     Returns
     -------
-    (height, width, 3) counts.
+    (height, width, 3) counts of 255; of 65535 where ``ccd.bits`` are more than 8, stretched from
+    the largest count of so many bits.
 
     Raises
     ------
@@ -202,16 +203,20 @@ def expose(
             ),
         )
     # Electrons to counts: black level, gain and rounding.
-    counts = np.empty((height, width, 3), np.uint8)
+    most = 2**full.bits - 1
+    counts: Picture = np.empty((height, width, 3), np.uint8 if full.bits == 8 else np.uint16)
     flat = counts.reshape(height, -1)
-    black = full.black_dn
+    black = full.black_dn * most / _FULL_SCALE
 
     def counted(_: int, begin: int, end: int) -> None:
         line = shares[begin:end].reshape(-1)
         if len(curve):
             _at_segments(curve, line)
-        level = line * np.float32(_FULL_SCALE - black) + np.float32(black + 0.5)
-        flat[begin:end].reshape(-1)[:] = level.clip(0, _FULL_SCALE)
+        level = line * np.float32(most - black) + np.float32(black + 0.5)
+        whole = level.clip(0, most).astype(counts.dtype)
+        if full.bits > 8:
+            whole = np.rint(whole * np.float32(_STRETCHED / most))
+        flat[begin:end].reshape(-1)[:] = whole
 
     in_parts(height, counted)
     return _compressed(counts, full.jpeg_quality) if isinstance(full.jpeg_quality, int) else counts
