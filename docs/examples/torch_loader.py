@@ -40,7 +40,7 @@ def loader(
         pictures = np.stack([s["picture"] for s in samples]).transpose(0, 3, 1, 2)
         made = {name: torch.from_numpy(np.array([s[name] for s in samples])).float() for name in labels}
         most = np.iinfo(pictures.dtype).max
-        return {"picture": torch.from_numpy(pictures.astype(np.float32) / most), **made}
+        return {"picture": torch.from_numpy(pictures).float() / most, **made}
 
     return DataLoader(data, batch_size=batch_size, shuffle=True, num_workers=workers, collate_fn=batch)
 
