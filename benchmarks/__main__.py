@@ -31,8 +31,7 @@ STAGES = (
     "budget",
 )
 SLOW = ("peers", "referee")
-"""Stages that a quick run leaves out unless they are named: they need other programs, much memory, LLVM or
-time."""
+"""Stages that a quick run leaves out unless they are named: they need other programs, much memory, LLVM or time."""
 
 STUDIES = ("calibrations", "fingers", "inclusions", "live", "realism")
 """What is run when it is named: minutes of CPU time, a quarter of an hour for calibrations, for figures that have no

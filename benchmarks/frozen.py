@@ -9,10 +9,9 @@ On another kind of processor, or with other kernels of BLAS, sums are taken in a
 pixels land on the next count, fields kept in single precision differ in their last digit, and inverses
 that choose their weight pass that on. There `ELSEWHERE` is allowed.
 
-The set: every shipped scene with a press (scores, truth, two windows and the block means of its
-pictures), random presses on both bodies, tracked pairs of pictures, reconstructions by every method,
-the rows of a small dataset, and the rows of a linear sweep. Pictures are drawn by the closed form, so
-that the set doesn't depend on the machine's LLVM.
+The set: every shipped scene with a press (scores, truth, two windows and the block means of its pictures), random
+presses on both bodies, tracked pairs of pictures, reconstructions by every method, the rows of a small dataset, and the
+rows of a linear sweep. Pictures are drawn by the closed form, so that the set doesn't depend on the machine's LLVM.
 """
 
 import json

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from benchmarks import ROOT
 
@@ -282,7 +283,7 @@ def make(folder: Path, readers: Iterable[str]) -> None:
     (base / "probe.toml").write_text(PROBE)
     (base / "body.stl").write_bytes(box_stl(12, 12, 8))
     (base / "probe.stl").write_bytes(box_stl(2, 2, 2))
-    (base / "text.stl").write_bytes(text_stl(box_stl(12, 12, 8)))
+    (base / "text.stl").write_text(box_stl(12, 12, 8, "stl_ascii"))
     matrix = {"rows": 3, "cols": 3, "data": [450.0, 0, 79.5, 0, 450.0, 59.5, 0, 0, 1]}
     lens = {"camera_matrix": matrix, "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.01, 0, 0, 0]}}
     (base / "lens.json").write_text(json.dumps(lens))
@@ -319,25 +320,10 @@ def save_as(picture: np.ndarray, path: Path, **options: int) -> None:
     Image.fromarray(picture).save(path, **options)
 
 
-def box_stl(width: float, length: float, height: float) -> bytes:
-    """Return a box as binary STL, z from 0."""
-    ends = (-width / 2, width / 2), (-length / 2, length / 2), (0.0, height)
-    corners = np.array([[x, y, z] for x in ends[0] for y in ends[1] for z in ends[2]])
-    sides = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
-    faces = np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))])
-    record = np.zeros(len(faces), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
-    record["corners"] = corners[faces]
-    return bytes(80) + struct.pack("<I", len(faces)) + record.tobytes()
-
-
-def text_stl(binary: bytes) -> bytes:
-    """Return a binary STL's triangles as text."""
-    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-    lines = ["solid box"]
-    for triangle in np.frombuffer(binary, record, offset=84)["corners"]:
-        lines += ["facet normal 0 0 0", "outer loop", *(f"vertex {x} {y} {z}" for x, y, z in triangle)]
-        lines += ["endloop", "endfacet"]
-    return "\n".join([*lines, "endsolid box\n"]).encode()
+def box_stl(width: float, length: float, height: float, kind: str = "stl") -> Any:
+    """Return a box as binary STL, z from 0; of kind ``stl_ascii`` as text."""
+    box = trimesh.creation.box(bounds=[[-width / 2, -length / 2, 0.0], [width / 2, length / 2, height]])
+    return box.export(file_type=kind)
 
 
 def no_file(name: str) -> dict[str, Spoil]:

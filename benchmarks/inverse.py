@@ -194,8 +194,7 @@ def speed(calibration: Calibration, found: Found) -> list[dict[str, Any]]:
 
 
 def widths(push_n: Floats, grid: tuple[int, int], pitch_mm: float) -> tuple[float, float]:
-    """Return the full widths at half maximum of a field along s and t through its largest site, mm;
-    inf if open.
+    """Return the full widths at half maximum of a field along s and t through its largest site, mm; inf if open.
 
     Parameters
     ----------

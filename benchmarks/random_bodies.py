@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from benchmarks.random_recipes import Table
@@ -59,33 +59,18 @@ Random = np.random.Generator
 
 def write_stl(path: Path, corners: Floats) -> str:
     """Write triangles (m, 3, 3) as a binary STL file; return its name."""
-    record = np.zeros(len(corners), [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("rest", "<u2")])
-    record["corner"] = corners
-    path.write_bytes(bytes(80) + len(corners).to_bytes(4, "little") + record.tobytes())
+    trimesh.Trimesh(**trimesh.triangles.to_kwargs(corners), process=False).export(path)
     return str(path)
 
 
 def hull(points: Floats) -> Floats:
     """Return the triangles of the convex hull of points, wound outwards."""
-    found = ConvexHull(points)
-    corners = points[found.simplices]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inwards = np.einsum("mi,mi->m", normal, found.equations[:, :3]) < 0.0
-    corners[inwards] = corners[inwards][:, ::-1]
-    return np.asarray(corners)
+    return np.array(trimesh.convex.convex_hull(points).triangles)
 
 
 def swept(section: Floats, count: int) -> Floats:
-    """Return the triangles of a closed section (m, 2) of radius and height, swept about z, wound outwards."""
-    angle = 2.0 * np.pi * np.arange(count) / count
-    radius, height = section.T
-    rows = np.stack([np.outer(np.cos(angle), radius), np.outer(np.sin(angle), radius),
-                     np.tile(height, (count, 1))], axis=-1)  # fmt: skip
-    a, b = rows, np.roll(rows, -1, axis=0)
-    c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
-    corners = np.concatenate([np.stack(three, axis=2).reshape(-1, 3, 3) for three in ((a, b, c), (a, c, d))])
-    volume = np.einsum("mi,mi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    return np.asarray(corners if volume > 0.0 else corners[:, ::-1])
+    """Return the triangles of a section (m, 2) of radius and height, counterclockwise, swept about z."""
+    return np.array(trimesh.creation.revolve(np.vstack([section, section[:1]]), sections=count).triangles)
 
 
 def blob(rng: Random) -> Floats:
@@ -112,7 +97,7 @@ def object_corners(kind: str, rng: Random) -> Floats:
     elif kind == "cup":
         radii = np.linspace(0.01, 1.0, 40)
         dent = rng.uniform(0.2, 0.6) * (radii - rng.uniform(0.2, 0.6)) ** 2
-        found = swept(np.vstack([np.column_stack([radii, -dent]), [[1.0, -1.5], [0.01, -1.5]]]), count)
+        found = swept(np.vstack([np.column_stack([radii, -dent]), [[1.0, -1.5], [0.01, -1.5]]])[::-1], count)
     elif kind == "tube":
         inner = rng.uniform(0.2, 0.9)
         found = swept(np.array([[inner, -1.0], [1.0, -1.0], [1.0, 0.0], [inner, 0.0]]), count)
@@ -165,12 +150,8 @@ def bracket(rng: Random) -> tuple[Floats, float]:
     a, b, pad, height, depth = (float(v) for v in rng.uniform((6, 4, 3, 8, 8), (12, 8, 5, 16, 14)))
     outline = np.array([(-a, 0), (b, 0), (b, pad), (0, pad), (0, height), (-a, height)])
     flat = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
-    low, high = (np.column_stack([outline[:, 0], np.full(6, y), outline[:, 1]]) for y in (-depth / 2, depth / 2))
-    faces = [low[list(t)] for t in flat] + [high[list(t)][::-1] for t in flat]
-    for i in range(6):
-        j = (i + 1) % 6
-        faces += [np.array([low[i], high[j], low[j]]), np.array([low[i], high[i], high[j]])]
-    return np.array(faces), height
+    x, z, y = np.moveaxis(trimesh.creation.extrude_triangulation(outline, flat, depth).triangles, 2, 0)
+    return np.stack([x, y - depth / 2, z], axis=2)[:, ::-1], height  # the swap of axes mirrors
 
 
 def drawn_body(kind: str, rng: Random, folder: Path) -> tuple[Table, float, float]:

@@ -1,7 +1,5 @@
 """Triangles of known bodies, and STL files of them, for tests."""
 
-from itertools import pairwise
-
 import numpy as np
 import trimesh
 from standard_bodies import write_stl
@@ -14,24 +12,13 @@ SENSING_BELOW = {"normal": (0, 0, -1), "within_deg": 5}
 
 def write_text_stl(path, corners):
     """Write triangles as a text STL file."""
-    lines = ["solid thing"]
-    for triangle in corners:
-        lines += [" facet normal 0 0 0", "  outer loop"]
-        lines += [f"   vertex {x:.9g} {y:.9g} {z:.9g}" for x, y, z in triangle]
-        lines += ["  endloop", " endfacet"]
-    path.write_text("\n".join([*lines, "endsolid thing", ""]))
+    trimesh.Trimesh(**trimesh.triangles.to_kwargs(corners), process=False).export(path, file_type="stl_ascii")
     return path
 
 
 def prism(outline, triangles, height):
     """Return an outline (n, 2), counterclockwise from +z, extruded from z = 0 to ``height``."""
-    flat = np.array(outline, float)
-    low, high = (np.column_stack([flat, np.full(len(flat), z)]) for z in (0.0, height))
-    faces = [low[list(t)][::-1] for t in triangles] + [high[list(t)] for t in triangles]
-    ring = [*range(len(flat)), 0]
-    for a, b in pairwise(ring):
-        faces += [np.array([low[a], low[b], high[b]]), np.array([low[a], high[b], high[a]])]
-    return np.array(faces)
+    return np.array(trimesh.creation.extrude_triangulation(np.array(outline, float), triangles, height).triangles)
 
 
 def box(width, length, height):
@@ -64,32 +51,16 @@ def facetted_dome(dome, edge_mm):
 def rounded_pad(edge_mm=None, width=24.0, length=16.0, height=7.0, fillet=2.0, segments=6):
     """Return a pad with rounded upright and lower edges: long strips, or cut to ``edge_mm``."""
     turn = np.radians(90 * np.arange(segments + 1) / segments)
-    middles = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (width / 2 - fillet, length / 2 - fillet)
-    rings = []
-    for radius, z in [*zip(fillet * np.sin(turn), fillet * (1 - np.cos(turn)), strict=True), (fillet, height)]:
-        angles = [turn + quarter * np.pi / 2 for quarter in range(4)]
-        arcs = [radius * np.column_stack([np.cos(angle), np.sin(angle)]) for angle in angles]
-        flat = np.concatenate([middle + arc for middle, arc in zip(middles, arcs, strict=True)])
-        rings.append(np.column_stack([flat, np.full(len(flat), z)]))
-    faces = []
-    for low, high in pairwise(rings):
-        after = np.roll(np.arange(len(low)), -1)
-        faces += [np.stack([low, high[after], low[after]], axis=1), np.stack([low, high, high[after]], axis=1)]
-    corner = rings[0][:: segments + 1]
-    faces.append(np.array([corner[[0, 2, 1]], corner[[0, 3, 2]]]))
-    top = rings[-1]
-    faces.append(np.array([top[[0, k, k + 1]] for k in range(1, len(top) - 1)]))
-    corners = np.concatenate(faces)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inwards = np.einsum("mi,mi->m", normal, corners.mean(axis=1) - [0, 0, height / 2]) < 0
-    corners[inwards] = corners[inwards][:, ::-1]
-    corners = corners[np.linalg.norm(normal, axis=1) > 1e-9]
-    if edge_mm is None:
-        return corners
-    vertices, triangles = trimesh.remesh.subdivide_to_size(
-        corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), max_edge=edge_mm, max_iter=20
+    around = np.concatenate([turn + quarter * np.pi / 2 for quarter in range(4)])
+    away = np.column_stack([np.cos(around), np.sin(around)])
+    middles = np.repeat([(1, 1), (-1, 1), (-1, -1), (1, -1)], len(turn), axis=0) * (
+        width / 2 - fillet,
+        length / 2 - fillet,
     )
-    return np.asarray(vertices[triangles])
+    rings = [*zip(fillet * np.sin(turn), fillet * (1 - np.cos(turn)), strict=True), (fillet, height)]
+    points = np.concatenate([np.insert(middles + radius * away, 2, z, axis=1) for radius, z in rings])
+    pad = trimesh.convex.convex_hull(points)
+    return np.array((pad if edge_mm is None else pad.subdivide_to_size(edge_mm, max_iter=20)).triangles)
 
 
 def solid_pad(folder, edge_mm=None):

@@ -52,18 +52,6 @@ def test_cone_meets_its_optimality_conditions(mu):
         assert warm == pytest.approx(force, abs=1e-7)
 
 
-def test_cone_of_a_unit_matrix_is_the_nearest_point():
-    random = np.random.default_rng(3)
-    force = random.normal(0, 1, (200, 3))
-    unit = Quadratic(curvature=np.eye(600))
-    onto, _ = unit.cone(force.ravel(), 0.5)
-    assert (np.hypot(*onto[:, :2].T) <= 0.5 * onto[:, 2] + 1e-12).all()
-    assert np.abs((onto * (force - onto)).sum(axis=1)).max() < 1e-10
-    others, _ = unit.cone(random.normal(0, 2, 600), 0.5)
-    assert ((force - onto) @ others.T).max() < 1e-10
-    assert unit.cone(onto.ravel(), 0.5)[0] == pytest.approx(onto, abs=1e-10)
-
-
 def field_error(field, points, forces):
     cells = into_cells(field.site_mm, points, forces)
     return np.linalg.norm(field.force_n - cells) / np.linalg.norm(cells)

@@ -20,13 +20,17 @@ from twin.world.mesh.sizing import WORLD
 POINTS = np.array([[0.0, 0.0, 3.0]])
 
 
-@pytest.mark.parametrize("name", ["block_bare", "finger_bare"])
-def test_central_loads_meet_what_the_bare_scenes_ask(name):
+def warnings_of(do):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", AccuracyWarning)
-        moved = Sensor(load_scene(name)).displacement(POINTS, Traction.bump((0, 0), 1.0, (0, 0, 1)))
-    assert not told
-    assert moved[0, 2] > 0
+        do()
+    return [str(one.message) for one in told]
+
+
+@pytest.mark.parametrize("name", ["block_bare", "finger_bare"])
+def test_central_loads_meet_what_the_bare_scenes_ask(name):
+    sensor = Sensor(load_scene(name))
+    assert warnings_of(lambda: sensor.displacement(POINTS, Traction.bump((0, 0), 1.0, (0, 0, 1)))) == []
 
 
 def test_more_than_any_level_reaches_warns_once_with_asked_got_and_remedy():
@@ -34,9 +38,7 @@ def test_more_than_any_level_reaches_warns_once_with_asked_got_and_remedy():
     load, points = Traction.disk((10, 5), 1.5, (1, 0, 1)), np.array([[9.0, 5.0, 1.0]])
     with pytest.warns(AccuracyWarning, match=r"1e-05 is asked.*move the load"):
         sensor.displacement(points, load)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        sensor.displacement(points, load)
+    assert warnings_of(lambda: sensor.displacement(points, load)) == []
 
 
 def test_a_press_on_few_patches_warns_of_them():
@@ -49,13 +51,6 @@ def test_a_press_on_few_patches_warns_of_them():
 def letter(depth_mm):
     probe = Object(shape="letter", width_mm=8.0)
     return Press(probe=probe, at_mm=(0, 0), indentation_mm=depth_mm)
-
-
-def warnings_of(do):
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always", AccuracyWarning)
-        do()
-    return [str(one.message) for one in told]
 
 
 def test_a_press_whose_patches_cut_sharp_edges_warns_of_its_force_at_once():
@@ -130,7 +125,5 @@ def test_a_saturated_picture_warns_once_and_the_runs_facts_say_so():
     assert len(told) == 1
     assert result.facts["picture_warnings"] == [str(told[0].message)]
     sensor = Sensor(load_scene("kamiyama_pillar", small | {"ccd.exposure": 1.0}))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        sensor.picture(None)
+    assert warnings_of(lambda: sensor.picture(None)) == []
     assert sensor.saturation is None

@@ -10,10 +10,13 @@ from PIL import Image
 from benchmarks.budget import own_transfer
 from twin.parts.load import Rectangles
 from twin.sense.calibration import read_calibration
+from twin.sense.fit_design import Fit
 from twin.study import calibrate
 from twin.study.calibrate import calibrate_by_presses, calibration_of
+from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
+from twin.theory.optics import project
 
 
 def transfer_error(sensor, calibration):
@@ -58,3 +61,100 @@ def test_a_folder_of_photographed_presses_is_fitted(tmp_path):
     modulus = float(re.search(r"Young's modulus (\S+) ", told)[1])
     assert modulus == pytest.approx(sensor.actual.scene.material.youngs_modulus_mpa, rel=0.01), told
     assert transfer_error(sensor, read_calibration(tmp_path / "c.npz")) < 0.02
+
+
+# --- the fitted design, without pictures ----------------------------------------------------------
+
+
+SCENE = load_scene("sato_press", overrides={"tolerance.distortion": 0.01})
+
+
+def design(places=((0.0, 0.0),)):
+    squares = Rectangles.on_surface(SCENE.body, np.array(places), 0.5, "places")
+    return FittedDesign(SCENE, squares, np.full(len(places), 0.9))
+
+
+def rest_px(actual):
+    scene = actual.scene
+    return project(actual.markers.points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
+
+
+def test_markers_stand_where_they_are_seen():
+    """With the made sensor's own camera and depths the print errors come out exactly, NaN markers as drawn."""
+    actual, twin = Sensor(SCENE).actual, design()
+    camera, nominal = actual.scene.camera, SCENE.camera
+    room = SCENE.tolerance
+    told = {
+        **{f"depth_{n}": (actual.scene.markers[n].depth_mm - SCENE.markers[n].depth_mm) / room.depth_mm
+           for n in SCENE.markers},
+        **{f"pupil_{a}": d / room.pupil_mm for a, d in zip("xyz", np.subtract(camera.pupil_mm, nominal.pupil_mm),
+                                                           strict=True)},
+        **{f"tilt_{a}": d / room.tilt_deg for a, d in zip("xyz", np.subtract(camera.tilt_deg, nominal.tilt_deg),
+                                                          strict=True)},
+        "focal": (camera.focal_px / nominal.focal_px - 1) / (room.focal_pct / 100),
+        "distortion": (camera.distortion[0] - nominal.distortion[0]) / room.distortion,
+    }  # fmt: skip
+    scaled = np.array([told.get(name, 0.0) for name in twin.names])
+    assert twin.camera_of(scaled).focal_px == pytest.approx(camera.focal_px)
+    seen = rest_px(actual)
+    markers, prints = twin.markers_of(scaled, seen)
+    assert prints == pytest.approx(actual.jitter_mm, abs=1e-6)
+    assert markers == pytest.approx(actual.markers.points, abs=1e-6)
+    seen[7] = np.nan
+    assert twin.markers_of(scaled, seen)[1][7] == pytest.approx(np.zeros(2))
+
+
+def test_nothing_is_fitted_that_the_tolerances_give_no_room():
+    names = design().names
+    assert {"youngs_modulus", "depth_red", "pupil_z", "distortion", "footprint"} <= set(names)
+    tight = SCENE.model_copy(update={"tolerance": SCENE.tolerance.model_copy(update={"tilt_deg": 0.0})})
+    twin = FittedDesign(tight, Rectangles.on_surface(SCENE.body, np.zeros((1, 2)), 0.5, "places"), np.ones(1))
+    assert not any(name.startswith("tilt") for name in twin.names)
+
+
+def test_footprints_have_the_second_moments_of_hertz_and_of_a_stuck_disc():
+    offsets, shares = FittedDesign.shares()
+    assert shares.sum(axis=1) == pytest.approx([1.0, 1.0])
+    assert shares[0] @ offsets**2 == pytest.approx([1 / 5, 1 / 5], abs=0.01)
+    assert shares[1] @ offsets**2 == pytest.approx([1 / 3, 1 / 3], abs=0.012)
+
+
+@pytest.mark.slow
+def test_a_cover_of_the_recipe_is_part_of_the_fitted_design():
+    """As drawn, markers move as in the nominal body with its cover; without it they would be over 5 % off."""
+    stiff = {"cover.youngs_modulus_mpa": 5.0, "tolerance.poisson_ratio": 0.0}
+    scene = load_scene("sato_press", overrides=stiff)
+    square = Rectangles.on_surface(scene.body, np.zeros((1, 2)), 0.5, "places")
+    sensor = Sensor(scene)
+    covered = sensor.nominal_compliance.to_points(sensor.nominal_markers.points, square)
+    for cover, apart in ((sensor.nominal_compliance, 1e-6), (None, None)):
+        twin = FittedDesign(scene, square, np.full(1, 0.9), cover)
+        found = twin.compliance(np.zeros(len(twin.names)), sensor.nominal_markers.points, square)
+        off = np.linalg.norm(found - covered) / np.linalg.norm(covered)
+        assert off < apart if apart else off > 0.05
+
+
+@pytest.mark.slow
+def test_five_presses_beat_the_drawing():
+    """Truth by contact on another mesh, with lens distortion and another Poisson's ratio."""
+    from benchmarks.calibrations import BETWEEN, PLACES, Truth, drawn, measured, sensors
+    from benchmarks.calibrations import design as bench
+
+    scene = bench()
+    truth = Truth(scene, sensors(scene, 2), covered=False)
+    places = Rectangles.on_surface(scene.body, np.array(PLACES[5]), 0.5, "places")
+    twin = FittedDesign(scene, places, np.full(5, 0.9))
+    squares = Rectangles.on_surface(scene.body, np.array(BETWEEN), 0.625, "squares")
+    for number in range(2):
+        presses = measured(truth, number, PLACES[5])
+        off = []
+        for found, rest in (
+            (Fit.of(twin, presses), presses.rest_px),
+            (drawn(twin), np.full_like(presses.rest_px, np.nan)),
+        ):
+            markers, _ = twin.markers_of(found.scaled, rest)
+            transfer = twin.transfer(found.scaled, markers, twin.compliance(found.scaled, markers, squares))
+            exact = np.stack([truth.square(place, 0.625)[number] for place in BETWEEN], axis=1)
+            off.append(np.linalg.norm(transfer.reshape(exact.shape) - exact) / np.linalg.norm(exact))
+        assert off[0] < 0.01
+        assert off[0] < 0.5 * off[1]

@@ -124,27 +124,6 @@ def test_linearity_is_not_measured_where_no_score_is_wanted(tmp_path: Path) -> N
     assert "linearity" not in json.loads((tmp_path / "timings.json").read_text())
 
 
-def test_a_press_that_stops_is_saved_and_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from twin.errors import NotSettled, SomeFailed
-    from twin.world.contact import pressing
-
-    real = pressing.solve_frictionless
-
-    def stuck(contacts: object, control: pressing.Control, *rest: object) -> object:
-        if control.given[2] > 0.6:
-            raise NotSettled("contact: it does not settle")
-        return real(contacts, control, *rest)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(pressing, "solve_frictionless", stuck)
-    path = [{"force_n": {"z": 0.5}}, {"force_n": {"z": 1.0}}]
-    scene = twin.load_scene("kamiyama_pillar", {**SMALL, "press.friction": 0.0, "press.steps": path})
-    with pytest.raises(SomeFailed, match=r"step 2 of 2 did not converge.*does not settle"):
-        run_to_folder(scene, tmp_path, {"displacement", "score"})
-    with np.load(tmp_path / "truth.npz") as truth:
-        assert truth["total_force_n"][2] == pytest.approx(0.5)
-    assert "step 2 of 2" in json.loads((tmp_path / "score.json").read_text())["facts"]["contact"]["incomplete"]
-
-
 def test_a_step_that_is_refused_leaves_the_state_before_it(tmp_path: Path) -> None:
     from twin.errors import ContactError, SomeFailed
     from twin.world.contact.contact_state import ContactState

@@ -1,7 +1,5 @@
 """The half-space kernels against each other, equilibrium, and Love's closed form."""
 
-import math
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -61,15 +59,8 @@ def test_gradient_and_stress_are_consistent_and_in_equilibrium(points, nu):
         assert_allclose(stress, law, atol=1e-12)
     else:
         assert_allclose(np.trace(gradient, axis1=1, axis2=2), 0.0, atol=1e-12)
-
-
-def test_uniform_square_sinks_as_love_says():
-    """A square of side 2 a: 8 and 4 ln(1 + sqrt 2) times p a / (pi E*) at centre and corner."""
-    young, nu, a = 0.7, 0.3, 1.5
-    square = rectangles([0, 0, 0], (a, a), (0, 0, 4 * a * a))
-    centre, corner = halfspace.displacement(np.array([[0, 0, 0.0], [a, a, 0.0]]), square, young, nu)[:, 2]
-    unit = 4 * (1 - nu**2) / (np.pi * young) * a * np.log(1 + np.sqrt(2))
-    assert_allclose([centre, corner], [2 * unit, unit], rtol=1e-12)
+        tension = np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3 * AXES
+        assert_allclose(stress - tension, (gradient + gradient.transpose(0, 2, 1)) / 6, atol=1e-12)
 
 
 @pytest.mark.parametrize("nu", NUS)
@@ -128,19 +119,3 @@ def test_tension_under_and_beside_a_rectangle_is_its_solid_angle():
         angle = exact if exact is not None else np.sum(area * place[2] / r**3)
         mean = np.trace(halfspace.stress(place[None], load, 0.5)[0]) / 3.0
         assert mean == pytest.approx(-angle / (2.0 * np.pi), abs=1e-6)
-
-
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
-def test_far_stress_is_boussinesqs(nu):
-    load = rectangles([0, 0, 0], (0.1, 0.1), (0, 0, 2.0))
-    x, z = 6.0, 8.0
-    radius = math.hypot(x, z)
-    compression = 3 * 2.0 / (2 * math.pi * radius**5)
-    shear = 2.0 * (1 - 2 * nu) / (2 * math.pi)
-    expected = np.zeros((3, 3))
-    expected[0, 0] = shear / (radius * (radius + z)) - compression * x * x * z
-    expected[1, 1] = shear * (z / radius**3 - 1 / (radius * (radius + z)))
-    expected[2, 2] = -compression * z**3
-    expected[0, 2] = expected[2, 0] = -compression * x * z * z
-    got = halfspace.stress(np.array([[x, 0.0, z]]), load, nu)[0]
-    assert_allclose(got, expected, atol=1e-3 * abs(expected).max())

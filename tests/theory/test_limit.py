@@ -56,12 +56,6 @@ def test_rows_are_the_half_space(nu):
     assert both + other == pytest.approx(moved([1, 0, 0], across)[0], rel=1e-6)
 
 
-def test_one_layer_cannot_tell_push_from_shear():
-    k, a, b, g = 0.7, 1.0, 2.5, 0.4
-    (ta, na), (tb, nb) = (layer_rows(np.array(k), np.array(d), np.array(g), np.array(0.37)) for d in (a, b))
-    assert ta * nb - tb * na == pytest.approx(k * (b - a) * np.exp(-k * (a + b)) / (2 * g * k) ** 2, rel=1e-12)
-
-
 def _flat(**changes):
     return Limit.of(**{**FLAT, **changes})
 
@@ -182,13 +176,6 @@ def fisher_sd(diameter, contrast, psf, noise):
 def test_the_bound_is_that_of_the_pictures_fisher_information(diameter, psf):
     numeric = fisher_sd(diameter, 150.0, psf, 1.5)
     assert float(centre_bound(np.array(diameter), 150.0, psf, 1.5)) == pytest.approx(numeric, rel=0.03)
-
-
-def test_more_light_less_blur_and_wider_markers_tell_more():
-    base = float(centre_bound(np.array(10.0), 100.0, 0.7, 1.0))
-    assert float(centre_bound(np.array(20.0), 100.0, 0.7, 1.0)) == pytest.approx(base / np.sqrt(2))
-    assert float(centre_bound(np.array(10.0), 200.0, 0.7, 1.0)) == pytest.approx(base / 2)
-    assert float(centre_bound(np.array(10.0), 100.0, 1.4, 1.0)) > 1.3 * base
 
 
 def test_a_pixels_noise_is_shot_read_and_rounding_noise():

@@ -1,13 +1,19 @@
-"""Strain and turn of known gradients; the law of linearity's cost against the study."""
+"""Strain and turn of known gradients, the law of linearity's cost against the study; contact's closed forms agree."""
 
 import math
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from benchmarks.contact_theory import (
+    punch_stiffness,
+)
 from benchmarks.pages import law_error, stored
-from twin.theory.contact import KNOWN_RADIUS, largest_strain_and_turn, law_of
+from twin.errors import InputError
+from twin.parts.material import plane_strain_modulus
+from twin.theory.contact import KNOWN_RADIUS, hertz, largest_strain_and_turn, law_of, punch_pressure
 
 PROBES = ("sphere", "cylinder", "pillar")
 
@@ -65,3 +71,56 @@ def test_contacts_and_strains_are_called_known_up_to_the_largest_of_the_study():
     for (probe, sheared), mine in studied.items():
         largest = max(row["mean_strain"] for row in mine)
         assert law_of(probe, sheared=sheared).known_strain == pytest.approx(largest, rel=0.05)
+
+
+# --- the closed forms of contact agree with one another -------------------------------------------
+
+
+RUBBER = {"youngs_modulus_mpa": 0.7, "poisson_ratio": 0.4}
+
+
+def test_hertz_pressure_sums_to_the_force():
+    contact = hertz(radius_mm=5.0, force_n=0.3, **RUBBER)
+    total, _ = quad(lambda r: 2 * math.pi * r * float(contact.pressure(np.array(r))), 0, contact.contact_radius_mm)
+    assert total == pytest.approx(0.3, rel=1e-8)
+    assert contact.pressure(np.array([1.01 * contact.contact_radius_mm])) == 0.0
+
+
+def test_hertz_centre_is_pushed_in_by_the_indentation():
+    """Displacement of the middle: integral of p / (pi E*) 2 pi dr over the disc (Boussinesq)."""
+    contact = hertz(radius_mm=5.0, force_n=0.3, **RUBBER)
+    integral, _ = quad(lambda r: 2.0 * float(contact.pressure(np.array(r))), 0, contact.contact_radius_mm)
+    assert integral / plane_strain_modulus(**RUBBER) == pytest.approx(contact.indentation_mm, rel=1e-8)
+
+
+def test_hertz_from_force_and_from_indentation_agree():
+    by_force = hertz(radius_mm=1.5, force_n=0.98, **RUBBER)
+    by_motion = hertz(radius_mm=1.5, indentation_mm=by_force.indentation_mm, **RUBBER)
+    assert by_motion.force_n == pytest.approx(0.98, rel=1e-12)
+    assert by_motion.peak_pressure_mpa == pytest.approx(by_force.peak_pressure_mpa, rel=1e-12)
+
+
+def test_hertz_grows_like_a_punch_of_its_radius():
+    """The slope dF/dd of a frictionless round contact is a flat punch's (Johnson 1985, ch. 5)."""
+    low, middle, high = (hertz(radius_mm=5.0, indentation_mm=0.1 + step, **RUBBER) for step in (-1e-5, 0.0, 1e-5))
+    slope = (high.force_n - low.force_n) / 2e-5
+    assert slope == pytest.approx(punch_stiffness(middle.contact_radius_mm, 0.7, 0.4), rel=1e-6)
+
+
+def test_punch_pressure_sums_to_the_force_and_pushes_evenly():
+    def pressure(s):
+        return float(punch_pressure(np.array(2.0 * math.sin(s)), 2.0, 0.4))
+
+    end = math.pi / 2 - 1e-9
+    total, _ = quad(lambda s: 8.0 * math.pi * math.sin(s) * math.cos(s) * pressure(s), 0, end)
+    assert total == pytest.approx(0.4, rel=1e-6)
+    middle, _ = quad(lambda s: 4.0 * math.cos(s) * pressure(s), 0, end)
+    assert 0.4 / (middle / plane_strain_modulus(**RUBBER)) == pytest.approx(punch_stiffness(2.0, 0.7, 0.4), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"force_n": 1.0, "indentation_mm": 1.0}, {"force_n": 0.0}, {"indentation_mm": -1.0}]
+)
+def test_hertz_refuses_what_is_not_a_press(given):
+    with pytest.raises(InputError):
+        hertz(radius_mm=1.0, **RUBBER, **given)

@@ -110,11 +110,3 @@ def test_a_sensors_pinhole_matrix_has_square_pixels_and_the_pictures_middle(made
     f = matrix[0, 0]
     assert f > 0
     assert matrix.tolist() == [[f, 0, 79.5], [0, f, 59.5], [0, 0, 1]]
-
-
-def test_torch_reads_it_by_number(made: Path) -> None:
-    torch_data = pytest.importorskip("torch.utils.data")
-    data = twin.open_dataset(made, ["force_n", "picture", "status"])
-    good = [i for i in range(len(data)) if data[i]["status"] == "ok"]
-    batches = list(torch_data.DataLoader(torch_data.Subset(data, good), batch_size=2, num_workers=0))
-    assert batches[0]["picture"].shape == (2, 120, 160, 3)

@@ -1,5 +1,6 @@
-"""The full chain over several exposures of the same light."""
+"""The full chain over several exposures of the same light; two pillars 2 mm apart are told apart."""
 
+import warnings
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 from small_sweep import small
 
+import twin
 import twin.sense.reconstruct as solve
+from twin.judge.resolution import DIP, dip
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.study.doubts import View
@@ -78,3 +81,22 @@ def test_the_cost_of_a_design_is_estimated_from_one_exposure(monkeypatch: pytest
     estimated = clock[0]
     full(design, sweep, BODIES, pushes)
     assert told["cpu_s"] == pytest.approx(clock[0] - estimated)
+
+
+# --- the designs that sweeps found tell two pillars 2 mm apart, through contact, pictures and tracker
+
+
+def dip_of(name: str) -> float:
+    scene = twin.load_scene(name)
+    sites = scene.reconstruction.sites
+    with warnings.catch_warnings():  # a shipped scene reaches what it asks
+        warnings.simplefilter("error", twin.AccuracyWarning)
+        estimate = twin.run(scene, want={"forces"}).estimate
+    push = estimate.force_n[:, 2].reshape(sites.columns, sites.rows)[:, sites.rows // 2]
+    return dip(sites.axes()[0], push, 2.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("body", ["kamiyama", "sato"])
+def test_two_pillars_two_millimetres_apart_are_two(body: str) -> None:
+    assert dip_of(f"{body}_two_points") >= DIP

@@ -9,7 +9,6 @@ from standard_bodies import BLOCK, FINGER
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.press import Cone, Pillar, Press, Step
-from twin.theory import halfspace
 from twin.world.contact import influence as storage
 from twin.world.contact.influence import DenseInfluence, LatticeInfluence
 from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
@@ -69,14 +68,6 @@ def test_a_lattice_is_its_matrix(nu):
     other = rng.normal(size=(k, 3))
     forth, back = np.vdot(other, found.apply(force)), np.vdot(force, found.apply(other))
     assert forth == pytest.approx(back, rel=1e-11)
-
-
-def test_a_finite_body_is_not_left_out():
-    cut, body = patches(), elastic(0.5)
-    push = np.ones(len(cut))
-    alone = halfspace.compliance(cut.centre_mm, cut.unloaded, 0.5, 0.5)[2::3, 2::3] @ push
-    more = lattice(cut, body).normal_displacement(push) - alone
-    assert 0.01 < np.abs(more).max() / alone.max() < 0.3
 
 
 def test_what_is_no_lattice_has_none():
@@ -188,19 +179,6 @@ def test_a_path_is_that_of_elimination(body, nu, wanted, monkeypatch):
         near = 1e-8 * other.peak_pressure_mpa
         assert_allclose(one.traction_mpa, other.traction_mpa, atol=near)
         assert_allclose(one.move_mm, other.move_mm, atol=1e-9)
-
-
-def test_the_gathered_block_of_a_matrix_serves_sets_that_lost_and_gained_patches():
-    rng, k = np.random.default_rng(4), 40
-    root = rng.normal(size=(3 * k, 3 * k))
-    matrix = (1e-3 * (root + root.T) + 2e-2 * np.eye(3 * k)).reshape(k, 3, k, 3)
-    influence, force = DenseInfluence(matrix), rng.normal(size=(k, 3))
-    few = np.arange(8, 14)  # too small a part of the block
-    for rows in (np.arange(5, 25), np.r_[7:26, 30], np.r_[0:7, 9:26], few):
-        influence.select(rows)
-        own = np.einsum("kalb,bl->ak", matrix[rows][:, :, rows], force[rows].T)
-        found = influence.product(force[rows].T.astype(np.float32)) * influence.unit
-        assert_allclose(found, own, atol=3e-6 * np.abs(own).max())
 
 
 def undone(back, force):

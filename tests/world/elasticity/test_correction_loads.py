@@ -43,12 +43,7 @@ def assert_width_does_not_matter(stiff, place, kind, axis, radii, bound=0.01):
 
 @pytest.mark.parametrize("place", range(len(CHART)))
 def test_narrow_loads_move_deep_points_like_wide_ones(stiff, place):
-    assert_width_does_not_matter(stiff, place, KINDS[place % 3], place // 3 % 3, (0.01,))
-
-
-def test_narrow_loads_at_the_apex(stiff):
-    for kind in KINDS[:3]:
-        assert_width_does_not_matter(stiff, 0, kind, 2, (0.1, 0.03, 0.001))
+    assert_width_does_not_matter(stiff, place, KINDS[place % 3], place // 3 % 3, (0.03, 0.001))
 
 
 @pytest.mark.slow

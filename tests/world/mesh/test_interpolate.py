@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from standard_bodies import BLOCK, FINGER
 
+from twin.errors import OutOfBodyError
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.elements import shapes
-from twin.world.mesh.interpolate import Locator, Recovery
+from twin.world.mesh.interpolate import Locator, Recovery, require_inside
 
 POINTS = 60_000
 
@@ -22,9 +23,20 @@ def test_points_are_read_from_their_own_element(body):
     drawn = mesh.tets[rng.choice(len(volume), POINTS, p=volume / volume.sum())]
     values, _ = shapes(rng.dirichlet(np.full(4, 0.5), POINTS)[:, 1:])
     points = np.einsum("qa,qai->qi", values, mesh.points[drawn])
-    field = (mesh.points**3).sum(axis=1)
-    read = Locator(mesh).locate(points).values(field)
+    field, places = (mesh.points**3).sum(axis=1), Locator(mesh).locate(points)
+    read = places.values(field)
     assert np.abs(read - (values * field[drawn]).sum(axis=1)).max() < 1e-10 * np.abs(field).max()
+    linear = rng.normal(size=(3, 2))
+    gradients = places.gradients(mesh.points @ linear)
+    np.testing.assert_allclose(gradients, np.broadcast_to(linear.T, gradients.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("bad", [(9.0, 9.0, 11.0), (np.nan, 0.0, 1.0)])
+def test_points_outside_are_named(bad):
+    inside = FINGER.chart_points(np.array([(0.0, 0.0), (2.0, -5.0)]))
+    require_inside(FINGER, inside)
+    with pytest.raises(OutOfBodyError, match="point 2"):
+        require_inside(FINGER, np.vstack([inside, bad]))
 
 
 def cubic(at):

@@ -15,6 +15,7 @@ from twin.files import MESHES
 from twin.parts.body import Block, Finger, Solid
 from twin.world.mesh import body_mesh as making
 from twin.world.mesh.body_mesh import body_mesh, build_mesh
+from twin.world.mesh.cover_mesh import with_cover
 from twin.world.mesh.elements import TET_EDGES
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality, dihedral_angles
@@ -52,7 +53,7 @@ def own_cache(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_shipped_meshes_pass_the_gates_and_are_small_enough_to_factor(shipped):
+def test_shipped_meshes_pass_the_gates_are_small_enough_to_factor_and_say_how_they_were_made(shipped, path):
     mesh, body, level = shipped
     measured = Quality.of(mesh, body)
     assert not measured.failures()
@@ -60,6 +61,10 @@ def test_shipped_meshes_pass_the_gates_and_are_small_enough_to_factor(shipped):
     assert measured.unknowns == mesh.unknowns == 3 * len(mesh.points) + mesh.corners
     least, most = (20_000, 30_000) if level == "standard" else (7_000, 14_500)
     assert least < mesh.unknowns < most
+    stored = Mesh.load(path)[1]
+    assert stored["key"] == Sizing.of(body, level).mesh_key(body)
+    assert stored["digest"] == mesh.digest()
+    assert stored["quality"]["unknowns"] == mesh.unknowns
 
 
 def test_volume_and_held_area_are_exact_on_the_block_and_near_on_the_finger(shipped):
@@ -82,19 +87,6 @@ def test_edges_are_graded_to_the_clamped_rim(shipped):
     wanted = WantedEdge(body, Sizing.of(body, level))(ends.mean(axis=1))
     assert 0.6 < np.median(length / wanted) < 1.4
     assert np.corrcoef(np.log(length), np.log(wanted))[0, 1] > 0.35
-
-
-@pytest.mark.parametrize("body", [BLOCK, FINGER])
-def test_truth_and_nominal_never_share_a_mesh(body):
-    assert body_mesh(body, "standard").digest() != body_mesh(body, "nominal").digest()
-
-
-def test_shipped_files_say_how_they_were_made(shipped, path):
-    mesh, body, level = shipped
-    stored = Mesh.load(path)[1]
-    assert stored["key"] == Sizing.of(body, level).mesh_key(body)
-    assert stored["digest"] == mesh.digest()
-    assert stored["quality"]["unknowns"] == mesh.unknowns
 
 
 def test_the_key_follows_geometry_and_sizing_but_not_the_recipe_s_sources():
@@ -125,26 +117,23 @@ def test_mid_side_nodes_are_in_vtk_order_and_halfway_on_flat_bodies():
             np.testing.assert_allclose(mesh.points[cells[:, first + side]], halfway, atol=1e-12)
 
 
-@pytest.mark.parametrize("of_file", [False, True])
-def test_arrays_are_read_only(of_file):
-    mesh = Mesh.read(MESHES / "sato_finger.nominal.npz") if of_file else small_mesh()
-    for array in (mesh.points, mesh.tets, mesh.faces, mesh.piece):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 0
-
+COVERED = with_cover(small_mesh(jitter_mm=0.1), SMALL, 0.5)
 
 # --- files ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def written(tmp_path):
-    small_mesh(jitter_mm=0.1).write(tmp_path / "m.npz", {"key": "k"})
+    COVERED.write(tmp_path / "m.npz", {"key": "k"})
     return tmp_path / "m.npz"
 
 
-def test_a_file_round_trip_keeps_every_bit(written):
+def test_a_file_round_trip_keeps_every_bit_read_only(written):
     again = Mesh.read(written)
-    assert again.digest() == small_mesh(jitter_mm=0.1).digest()
+    assert again.digest() == COVERED.digest() != small_mesh(jitter_mm=0.1).digest()
+    np.testing.assert_array_equal(again.region, COVERED.region)
+    for array in (*vars(again).values(), *vars(COVERED).values()):
+        assert isinstance(array, int) or not array.flags.writeable
     assert again.points.dtype == np.float64
     assert again.tets.dtype == again.faces.dtype == again.piece.dtype == np.int64
     assert list(written.parent.iterdir()) == [written]
@@ -174,7 +163,15 @@ def flipped(data):
     return data[:2000] + bytes([data[2000] ^ 0xFF]) + data[2001:]
 
 
+def swapped(path):
+    """Arrays that make a mesh, but not that of the digest."""
+    with np.load(path) as file:
+        np.savez(path, **{**file, "piece": file["piece"][::-1]})
+
+
 DAMAGES = {
+    "missing": (lambda path: path.unlink(), "no such mesh file.*twin mesh"),
+    "swapped": (swapped, "digest"),
     "truncated": lambda path: path.write_bytes(path.read_bytes()[:-400]),
     "half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
     "flipped byte": lambda path: path.write_bytes(flipped(path.read_bytes())),
@@ -187,10 +184,14 @@ DAMAGES = {
 }
 
 
+NOT_WHOLE = r"m\.npz: not a whole mesh file .*--rebuild"
+
+
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_broken_or_foreign_file_is_refused_with_its_name_and_the_remedy(written, damage):
-    DAMAGES[damage](written)
-    with pytest.raises(InputError, match=r"m\.npz: not a whole mesh file .*--rebuild"):
+    spoil, words = DAMAGES[damage] if isinstance(DAMAGES[damage], tuple) else (DAMAGES[damage], NOT_WHOLE)
+    spoil(written)
+    with pytest.raises(InputError, match=words):
         Mesh.read(written)
 
 
@@ -214,20 +215,6 @@ def test_arrays_that_make_no_mesh_are_refused(tmp_path, change, message):
     replace(mesh, **change(mesh)).write(tmp_path / "m.npz", {})
     with pytest.raises(InputError, match=message):
         Mesh.read(tmp_path / "m.npz")
-
-
-def test_arrays_that_were_swapped_under_the_digest_are_refused(written):
-    with np.load(written) as file:
-        arrays = dict(file)
-    arrays["piece"] = arrays["piece"][::-1]
-    np.savez(written, **arrays)
-    with pytest.raises(InputError, match="digest"):
-        Mesh.read(written)
-
-
-def test_a_missing_file_says_how_to_make_it(tmp_path):
-    with pytest.raises(InputError, match=r"no such mesh file.*twin mesh"):
-        Mesh.read(tmp_path / "none.npz")
 
 
 # --- cache and mesher -----------------------------------------------------------------------------
@@ -359,22 +346,6 @@ def test_a_block_s_mesh_is_made_by_rule(size):
     assert 1.0 <= measured.unknowns / sizing.unknowns < 1.7
     assert abs(measured.volume_error) < 1e-12
     assert mesh.digest() == build_mesh(body, sizing)[0].digest()
-
-
-@pytest.mark.slow
-def test_a_real_build_through_the_guarded_mesher_passes_and_is_cached(own_cache, small_solid):
-    body, lines = small_solid, []
-
-    def progress(line, share):
-        lines.append(line)
-
-    mesh = body_mesh(body, "nominal", rebuild=True, progress=progress)
-    measured, count = Quality.of(mesh, body), len(lines)
-    assert not measured.failures()
-    assert measured.volume_error == pytest.approx(0, abs=1e-12)
-    assert count
-    assert body_mesh(body, "nominal", progress=progress).digest() == mesh.digest()
-    assert len(lines) == count
 
 
 @pytest.mark.slow

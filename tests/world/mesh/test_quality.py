@@ -11,9 +11,9 @@ from standard_bodies import forces_on, on_boundary
 from twin.errors import InputError, MeshError, SolveError
 from twin.parts.body import Block
 from twin.world.elasticity.fem import Layer, TaylorHood
-from twin.world.mesh.elements import TET_EDGES, shapes
+from twin.world.mesh.elements import TET_EDGES
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import Quality, open_edges
+from twin.world.mesh.quality import Quality
 from twin.world.mesh.snap import snapped_mesh
 
 CUBE = Block(width_mm=5, length_mm=5, thickness_mm=5)
@@ -54,14 +54,6 @@ def test_angles_and_scaled_jacobians_of_known_tetrahedra():
     assert corner.least_scaled_jacobian == pytest.approx(np.sqrt(2) / 2)
 
 
-def test_shape_gradients_reproduce_quadratics():
-    x, y, z = with_middles(CORNER).T
-    values = x**2 + 3 * y * z - 2 * z
-    r, s, t = place = (0.2, 0.3, 0.4)
-    slopes = shapes(np.array([place]))[1][0]
-    assert_allclose(values @ slopes, [2 * r, 3 * t, 3 * s - 2], atol=1e-14)
-
-
 def test_the_jacobian_ratio_of_one_moved_middle_has_its_closed_form():
     nodes = with_middles(CORNER)
     assert one_tet(nodes).jacobian_ratios()[0] == pytest.approx(1)
@@ -76,15 +68,6 @@ def test_a_straight_cube_passes_every_figure(cube):
     assert measured.volume_error == pytest.approx(0, abs=1e-14)
     assert measured.least_volume_mm3 == pytest.approx(125 / 6)
     assert measured.least_dihedral_deg == pytest.approx(45)
-
-
-def test_curved_faces_enclose_their_exact_volume(cube):
-    points = cube.points.copy()
-    top = cube.faces[cube.piece == 0]
-    middle = np.intersect1d(top[0, 3:], top[1, 3:])
-    # bulges both top faces: twice the integral of a middle's shape function, area / 3
-    points[middle, 2] -= 1.0
-    assert replace(cube, points=points).enclosed_volume() == pytest.approx(125 + 25 / 3)
 
 
 def moved(mesh, node, by):
@@ -102,7 +85,7 @@ def replaced(array, value, row=0):
 FAULTS = {
     "negative": ("smallest volume", lambda m: {"tets": m.tets[:, [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]]}),
     "offset": ("offset of a boundary node", lambda m: moved(m, m.faces[0, 3], 1e-6)),
-    "hole": ("open boundary edges", lambda m: {"faces": m.faces[1:], "piece": m.piece[1:]}),
+    "hole": ("open boundary edges: 3 ", lambda m: {"faces": m.faces[1:], "piece": m.piece[1:]}),
     "turned face": ("open boundary edges", lambda m: {"faces": replaced(m.faces, m.faces[0, [0, 2, 1, 5, 4, 3]])}),
     "wrong piece": ("boundary node", lambda m: {"piece": replaced(m.piece, (m.piece[0] + 1) % 6)}),
     "no piece": ("boundary faces of no piece: 1 ", lambda m: {"piece": replaced(m.piece, 6)}),
@@ -115,11 +98,6 @@ FAULTS = {
 def test_each_gate_closes_on_its_fault(cube, name):
     message, fault = FAULTS[name]
     assert any(message in line for line in Quality.of(replace(cube, **fault(cube)), CUBE).failures())
-
-
-def test_open_edges_are_counted(cube):
-    assert open_edges(cube.faces) == 0
-    assert open_edges(cube.faces[1:]) == 3
 
 
 # --- systems --------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.interpolate import Locator
-from twin.world.mesh.snap import RIM_SHARE, drawn_to_rim
+from twin.world.mesh.snap import drawn_to_rim
 
 BODIES = {"block": BLOCK, "finger": FINGER, "back": Finger(radius_mm=8, barrel_mm=8, skirt_mm=2, back="held")}
 
@@ -64,21 +64,6 @@ def test_points_beside_the_rim_are_found_and_linear_fields_read_exactly(body):
     slope = np.linalg.lstsq(drawn.points, field, rcond=None)[0].T
     assert np.abs(places.values(field) - points @ slope.T).max() < 1e-8
     assert np.abs(places.gradients(field) - slope).max() < 1e-5
-
-
-def test_an_edge_from_the_rim_holds_the_singular_exponent_better():
-    """Best fit of r^0.5946 (clamped and free faces at a right angle) by an edge's shapes."""
-    at = np.linspace(0.0, 1.0, 201)
-
-    def misfit(share):
-        place = at * (4.0 * share - 1.0) + at**2 * (2.0 - 4.0 * share)
-        basis = np.column_stack([np.ones_like(at), at, at**2])
-        right = place**0.5946
-        weight = np.sqrt(np.gradient(place))
-        best = np.linalg.lstsq(basis * weight[:, None], right * weight, rcond=None)[0]
-        return np.linalg.norm((basis @ best - right) * weight)
-
-    assert misfit(RIM_SHARE) < 0.3 * misfit(0.5)
 
 
 @pytest.mark.parametrize(("name", "force"), [("block", (1, 0, 0)), ("finger", (0, 1, 0))])

@@ -155,20 +155,16 @@ def assert_gone(pid):
         os.kill(int(pid.read_text()), 0)
 
 
-def test_a_child_over_its_time_limit_is_killed(tmp_path, stand_in, request_of_block, monkeypatch):
-    began, pid = time.monotonic(), tmp_path / "pid"
+def test_a_child_over_its_time_limit_is_killed_and_leaves_no_folder(tmp_path, stand_in, request_of_block, monkeypatch):
+    began, pid, own = time.monotonic(), tmp_path / "pid", tmp_path / "own"
+    own.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(own))
     monkeypatch.setattr(sys, "executable", stand_in(sleeper(pid)))
     with pytest.raises(MeshError, match=r"time limit of 1 s"):
         request_of_block.solve(limit_s=1.0)
     assert time.monotonic() - began < 20
     assert_gone(pid)
-
-
-def test_a_real_request_over_its_time_limit_leaves_no_folder(tmp_path, request_of_block, monkeypatch):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with pytest.raises(MeshError, match="time limit"):
-        request_of_block.solve(limit_s=0.05)
-    assert list(tmp_path.iterdir()) == []
+    assert list(own.iterdir()) == []
 
 
 def copier(result):
@@ -223,12 +219,3 @@ def test_a_result_that_lost_part_of_the_body_is_refused(
     monkeypatch.setattr(sys, "executable", stand_in(copier(result)))
     with pytest.raises(MeshError, match=message):
         request_of_block.solve()
-
-
-@pytest.mark.slow
-def test_the_real_mesher_fills_a_small_block_with_positive_tetrahedra(request_of_block):
-    points, tets = request_of_block.solve()
-    volumes = signed_volumes(points, tets)
-    assert np.min(volumes) > 0
-    assert volumes.sum() == pytest.approx(BLOCK.volume_mm3, rel=0.01)
-    assert len(np.unique(tets)) == len(points)

@@ -1,5 +1,6 @@
-"""ROS 2 messages: their fields are the definitions' own, and what they carry comes back through ROS's serialisation."""
+"""The Gymnasium environment by Gymnasium's own checker; ROS 2 messages by its definitions and serialisation."""
 
+import warnings
 from dataclasses import MISSING, fields
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +12,48 @@ import twin
 from twin.errors import InputError
 from twin.parts.camera import Camera
 from twin.study.environment import Observation
+from twin.study.live import QUICK
 from twin.study.ros import ros_messages
+
+
+@pytest.mark.slow
+def test_it_is_an_environment_that_feels_what_is_done() -> None:
+    check_env = pytest.importorskip("gymnasium.utils.env_checker").check_env
+    from twin.study.gym import TactileEnv
+
+    scene = twin.load_scene("kamiyama_pillar", QUICK | {"press.friction": 1.2})
+    env = TactileEnv(scene, reward=lambda seen: float(seen.total_force_n[2]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its advice on unbounded spaces and on rendering
+        check_env(env, skip_render_check=True)
+    env.reset()
+    seen, reward, terminated, truncated, info = env.step(np.array([2.0, 1.0, 2.0, 0.2, 0.0, 0.0]))
+    assert (terminated, truncated) == (False, False)
+    assert seen["total_force_n"] == pytest.approx([0.2, 0.0, 2.0], abs=0.12)
+    assert reward == pytest.approx(2.0, abs=0.12)
+    assert info["true_total_force_n"] == pytest.approx([0.2, 0.0, 2.0], abs=1e-5)
+    slipping = env.action_space.high.copy()
+    slipping[2] = 0.1
+    _, reward, _, truncated, info = env.step(slipping)
+    assert (reward, truncated) == (0.0, False)
+    assert "sideways" in info["problem"] or "edge" in info["problem"] or "miss" in info["problem"], info["problem"]
+
+
+@pytest.mark.slow
+def test_a_frictionless_probe_is_not_pushed_sideways() -> None:
+    pytest.importorskip("gymnasium")
+    from twin.study.gym import TactileEnv
+
+    env = TactileEnv(twin.load_scene("kamiyama_pillar", QUICK))
+    assert not env.action_space.high[3:].any()
+    env.reset()
+    _, reward, _, _, info = env.step(np.array([0.0, 0.0, 2.0, 0.2, 0.0, 0.0]))
+    assert reward == 0.0
+    assert "frictionless" in info["problem"]
+
+
+# --- ros 2 messages -------------------------------------------------------------------------------
+
 
 CAMERA = Camera(width_px=4, height_px=3, focal_px=100, aspect=1.1, principal_px=(1.0, 2.0), pupil_mm=(0, 0, 100))
 

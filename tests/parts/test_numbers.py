@@ -1,9 +1,15 @@
-"""The papers' numbers, typed a second time from the papers alone, against the shipped recipes."""
+"""The papers' numbers, typed a second time from the papers alone; what ``auto`` takes of a scene; distributions."""
 
+import numpy as np
 import pytest
 from scipy import constants
+from scipy.stats import truncnorm
 
+from twin.errors import RecipeError
+from twin.parts.press import PATCHES_ACROSS
+from twin.parts.scene import FEWEST, LOOSEST, TIGHTEST, Accuracy
 from twin.parts.sweep import GF
+from twin.parts.vary import CUT, Normal
 from twin.study.recipe import load_scene
 
 GRAM_FORCE = 9.80665e-3
@@ -72,3 +78,48 @@ def test_sato(name):
 def test_sato_marker_is_about_fifteen_pixels():
     scene = load_scene("sato_press")
     assert 0.5 / apparent_mm_per_px(scene, 0.5) == pytest.approx(15, abs=2)
+
+
+# --- what ``auto`` takes of a scene, and what is refused ------------------------------------------
+
+
+AUTO = {"accuracy.displacement": "auto", "accuracy.contact_patches": "auto"}
+
+
+def test_numbers_stay_what_they_are():
+    fixed = Accuracy(displacement=2e-3, contact_patches=20)
+    assert fixed.displacement_for(50.0) == 2e-3
+    assert fixed.patches_for([100.0], [0.1]) == 20
+
+
+def test_auto_follows_what_the_scene_leaves_open_within_bounds():
+    auto = Accuracy(displacement="auto", contact_patches="auto")
+    assert auto.displacement_for(1.5) == pytest.approx(5e-3)
+    assert (auto.displacement_for(0.0), auto.displacement_for(50.0)) == (TIGHTEST, LOOSEST)
+    assert auto.patches_for([5.0, 2.0], [3.0, 6.0]) == FEWEST, "the deep don't see narrow patches"
+    assert auto.patches_for([5.0], [0.6]) == 10
+    assert auto.patches_for([10.0], [0.5]) == PATCHES_ACROSS
+    assert auto.patches_for([float("inf")], [3.0]) == auto.patches_for([], []) == PATCHES_ACROSS
+
+
+def test_a_scene_balances_by_its_own_tolerances_probe_and_markers():
+    scene = load_scene("kamiyama_pillar", AUTO)
+    assert (scene.displacement_error, scene.contact_patches) == (pytest.approx(5e-3), FEWEST)
+    shallow = load_scene("kamiyama_pillar", {**AUTO, "markers.blue.depth_mm": 0.5, "tolerance.preset": "none"})
+    assert (shallow.displacement_error, shallow.contact_patches) == (TIGHTEST, 12)
+
+
+@pytest.mark.parametrize("value", ["best", 0, -1.0])
+def test_anything_else_is_refused_by_key(value):
+    for key in ("displacement", "contact_patches"):
+        with pytest.raises(RecipeError, match=f"accuracy.{key}"):
+            load_scene("kamiyama_pillar", {f"accuracy.{key}": value})
+
+
+# --- distributions of a recipe's numbers ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("u", [0.0, 0.2, 0.5, 1.0])
+def test_a_normal_number_grows_with_its_draw_and_is_cut_where_a_maker_rejects(u: float) -> None:
+    wanted = truncnorm.ppf(u, -CUT, CUT, loc=3.0, scale=0.1)
+    assert Normal(mean=3.0, sd=0.1).at(np.array([u])) == pytest.approx(wanted, rel=1e-9)
