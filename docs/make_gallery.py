@@ -230,6 +230,32 @@ CAMERAS = Room(
             """,
         ),
         Plate(
+            "clear",
+            "What clear rubber shows, at rest above and pressed by a ball of 6 mm below, brightened: through a grey "
+            "coat; the ball through a thin coat; with light of the surroundings; a gear; bubbles and dust that the "
+            "rubber carries.",
+            """
+            thin = {"cover.albedo": [0.1, 0.1, 0.1], "cover.transmittance": 0.6}
+            seen = {**thin, "press.albedo": [0.25, 0.18, 0.16]}
+            gear = {"press.probe": {"kind": "object", "shape": "gear"}, "press.at_mm": [0, 0]}
+            cases = {
+                "covered": {},
+                "probe": seen,
+                "light outside": {**seen, "light.outside": [0.3, 0.35, 0.5]},
+                "gear": {**seen, **gear},
+                "bubbles": {"camera.bubbles": {"count": 60, "size_mm": 0.6, "hollow": 0.7, "albedo": 0, "depth_mm": 2}},
+                "dust": {"camera.dust": {"count": 800, "size_mm": 0.12, "albedo": 0.9, "depth_mm": 2}},
+            }
+            figure, axes = plt.subplots(2, 6, figsize=(12, 3.6), layout="constrained")
+            for column, (name, keys) in zip(axes.T, cases.items()):
+                sensor = twin.Sensor(twin.load_scene("gelpad_press", {"ccd.exposure": 0.6, **keys}))
+                for ax, load in zip(column, (None, sensor.press().load)):
+                    ax.imshow((sensor.picture(load)[100:360, 170:520] / 255) ** 0.5)
+                    ax.set(xticks=[], yticks=[])
+                column[0].set_title(name)
+            """,
+        ),
+        Plate(
             "chain",
             "The same for window, lens and camera: scratches and bubbles on the window; haze; a ghost; smear; flicker "
             "under a rolling shutter, on the whole picture; white balance of reddish light, by the picture's mean, "

@@ -103,12 +103,15 @@ class TriangleTree:
         ahead = np.einsum("ni,ni->n", self._middle - points, unit)[:, None]
         starts = points + (ahead - self._radius) * unit
         ends = points + (ahead + self._radius) * unit
+        away = points + ahead * unit - self._middle
+        near = np.flatnonzero(np.einsum("ni,ni->n", away, away) <= self._radius**2)
         found: Any = reference(0)
         share, part = reference(0.0), reference(0)
         place, local = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
         triangle = np.full(len(points), -1)
         room = _TOUCHING_MM * self._radius
-        for row, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        between = zip(near.tolist(), starts[near].tolist(), ends[near].tolist(), strict=True)
+        for row, start, end in between:
             if self._locator.IntersectWithLine(start, end, room, share, place, local, part, found):
                 triangle[row] = found.get()
         times = self._times(triangle, points, along)

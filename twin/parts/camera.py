@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from twin.arrays import Floats, Points, frozen
 from twin.errors import RecipeError
-from twin.parts.part import Angle, Coefficient, Part, Pixel, Place, Share, Size
+from twin.parts.part import LEAST_MM, Angle, Coefficient, Part, Pixel, Place, Share, Size
 
 Power = Annotated[float, Field(ge=0, le=1e3)]
 Gain = Annotated[float, Field(gt=0, le=100)]
@@ -61,7 +61,8 @@ class Camera(Part):
     layers
         Between base and air, in the order in which a ray leaving the body meets them.
     dust, scratches, bubbles
-        Marks on the outermost of them, three kinds of them at most; None for a clean window.
+        Marks on the outermost of them, or in the rubber, three kinds of them at most; None for
+        none.
     """
 
     class Layer(Part):
@@ -82,7 +83,8 @@ class Camera(Part):
         abbe_number: float | None = Field(default=None, ge=10, le=200)
 
     class Marks(Part):
-        """Specks, scratches or bubbles on the outer face of the window, lit by LEDs in air.
+        """Specks, scratches or bubbles: on the outer face of the window, lit by LEDs in air, or in
+        the rubber, which carries them.
 
         Attributes
         ----------
@@ -99,6 +101,9 @@ class Camera(Part):
             middle lets light pass. In silicone 0.7, from where on rays are reflected totally.
         albedo
             Diffuse reflectance; 0 is black.
+        depth_mm
+            Depth below the sensing surface at which they lie in the rubber, as balls of
+            ``size_mm`` that move and strain with it; None: on the window.
         """
 
         count: int = Field(ge=1, le=100_000)
@@ -106,10 +111,16 @@ class Camera(Part):
         length_mm: float = Field(default=0.0, ge=0, le=1000)
         hollow: float = Field(default=0.0, ge=0, le=0.99)
         albedo: Share = 0.3
+        depth_mm: float | None = Field(default=None, ge=LEAST_MM, le=100)
         seed: int = Field(default=1, ge=0, le=2**63 - 1)
 
         @model_validator(mode="after")
         def _not_too_many(self) -> Camera.Marks:
+            if self.depth_mm is not None and self.length_mm:
+                raise ValueError(
+                    f"depth_mm = {self.depth_mm:g}: scratches, which have a length_mm, lie on the "
+                    "window; leave one of both out"
+                )
             if self.count * self.length_mm > 1e6 * self.size_mm:
                 raise ValueError(
                     f"length_mm = {self.length_mm:g}: {self.count} scratches are more than a "
@@ -152,6 +163,20 @@ class Camera(Part):
                 f"{', '.join(map(str, known[1:]))}: fill up with zeros"
             )
         return self
+
+    @property
+    def on_window(self) -> list[Marks]:
+        """The marks on the window."""
+        return [each for each in self._marks if each.depth_mm is None]
+
+    @property
+    def in_rubber(self) -> list[Marks]:
+        """The marks in the rubber."""
+        return [each for each in self._marks if each.depth_mm is not None]
+
+    @property
+    def _marks(self) -> list[Marks]:
+        return [each for each in (self.dust, self.scratches, self.bubbles) if each is not None]
 
     @property
     def centre_px(self) -> tuple[float, float]:
@@ -221,6 +246,10 @@ class Light(Part):
         the LEDs' mean colour.
     colours
         Red, green and blue power of each LED; 1 each if there are none.
+    outside
+        Red, green and blue light of the surroundings, 1 for white in the brightest marker's place,
+        that the camera sees through rubber without a cover, or through one with ``transmittance``,
+        where no probe is in its way. It lights nothing.
     """
 
     positions_mm: tuple[tuple[Place, Place, Place], ...] = Field(min_length=1, max_length=64)
@@ -229,6 +258,7 @@ class Light(Part):
     radius_mm: float = Field(default=0.0, ge=0, le=50)
     ambient: float = Field(default=0.2, ge=0, le=1)
     colours: tuple[tuple[Power, Power, Power], ...] = ()
+    outside: tuple[Power, Power, Power] = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _colours_are_of_leds(self) -> Light:

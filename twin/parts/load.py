@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import model_validator
@@ -207,6 +207,8 @@ class Load:
     crept
         The elastic load that moves the body as relaxing rubber moves by now; None where that is
         this load itself.
+    probes
+        The probes that pictures show.
 
     Notes
     -----
@@ -230,9 +232,24 @@ class Load:
         def gradient(self, points: Points) -> Floats:
             """Return what to add to the gradients (n, 3, 3) there."""
 
+    class Placed(Protocol):
+        """A probe where it stands, with its diffuse reflectance."""
+
+        @property
+        def albedo(self) -> tuple[float, float, float]:
+            """Red, green and blue."""
+
+        def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
+            """Return how far outwards, against unit vectors ``along`` (n, 3), lines through points
+            (n, 3) enter the probe, mm, inf where they miss it; and its outward normals there."""
+
+        def between(self, other: Any, share: float) -> Any:
+            """Return the same probe on its way to the place of another."""
+
     terms: tuple[Traction | Rectangles, ...] = ()
     strained: Strained | None = None
     crept: Load | None = None
+    probes: tuple[Placed, ...] = ()
 
     @property
     def moving(self) -> Load:
@@ -245,7 +262,8 @@ class Load:
         crept = None
         if self.crept is not None or other.crept is not None:
             crept = self.moving + other.moving
-        return Load(self.terms + other.terms, crept=crept)
+        probes = self.probes + other.probes
+        return Load(self.terms + other.terms, crept=crept, probes=probes)
 
     def __radd__(self, other: object) -> Load:
         """Let ``sum(loads)`` start from its 0."""

@@ -99,6 +99,9 @@ class Cover(Part):
         Thickness, mm.
     albedo
         Diffuse reflectance, red, green, blue.
+    transmittance
+        Share of the light that passes, so that the camera sees what lies behind: the probe, if
+        ``press.albedo`` is given, and ``light.outside``.
     deforms
         Whether pictures show how a press tilts and lifts it. At the papers' albedo that is less
         than a count, and it costs a field at some thousand places; so it is left out unless asked
@@ -109,9 +112,19 @@ class Cover(Part):
 
     thickness_mm: float = Field(default=0.2, ge=LEAST_MM, le=5)
     albedo: tuple[Share, Share, Share] = (0.03, 0.03, 0.03)
+    transmittance: Share = 0.0
     deforms: bool = False
     youngs_modulus_mpa: float | None = Field(default=None, ge=LEAST_MPA, le=1e6)
     poisson_ratio: float | None = Field(default=None, ge=-0.5, le=0.5)
+
+    @model_validator(mode="after")
+    def _light_is_shared(self) -> Cover:
+        if max(self.albedo) + self.transmittance > 1:
+            raise ValueError(
+                f"transmittance = {self.transmittance:g}: with an albedo of {max(self.albedo):g} "
+                "more light would leave the cover than falls on it; their sum must be at most 1"
+            )
+        return self
 
     @property
     def has_own_material(self) -> bool:

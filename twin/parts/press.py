@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from twin.arrays import Floats, frozen
-from twin.parts.part import Angle, Force, Part, Place
+from twin.parts.part import Angle, Force, Part, Place, Share
 from twin.parts.probe import Cone, Cylinder, Object, Pillar, Probe, Sphere, Stl
 
 __all__ = ["Cone", "Cylinder", "Object", "Pillar", "Press", "Probe", "Sphere", "Step", "Stl"]
@@ -176,6 +176,9 @@ class Press(Part):
         Coulomb's coefficient mu, the same at rest and in motion: a patch carries at most mu times
         its normal force sideways, and slips when it would need more. 0 is frictionless, inf sticks
         whatever the force. Values from 1e3 on are solved as inf, whose forces they have.
+    albedo
+        Diffuse reflectance of the probe, red, green, blue, where the camera sees it through rubber
+        without a cover, or through one with ``transmittance``; None: pictures don't show it.
     also
         Further presses at the same time, with probes, places and paths of their own, of as many
         steps as this one, whose seconds are theirs too.
@@ -202,6 +205,7 @@ class Press(Part):
     force_n: Forces | None = None
     indentation_mm: Place | None = None
     friction: float = 0.0
+    albedo: tuple[Share, Share, Share] | None = None
     also: tuple[Press, ...] = Field(default=(), max_length=7)
 
     _tables = field_validator("force_n", mode="before")(_triple)

@@ -442,6 +442,16 @@ class Scene(Part):
                 raise ValueError(
                     "markers: a scene with a camera needs at least one [markers.<layer>] table"
                 )
+        unseen = {
+            "light.outside": self.light is not None and any(self.light.outside),
+            "press.albedo": self.press is not None
+            and any(one.albedo is not None for one in (self.press, *self.press.also)),
+        }
+        if self.cover is not None and self.cover.transmittance == 0 and any(unseen.values()):
+            keys = ", ".join(key for key, given in unseen.items() if given)
+            raise ValueError(
+                f"{keys}: the cover hides it; set cover.transmittance above 0, or leave [cover] out"
+            )
         shortfall = CUT * self.tolerance.poisson_ratio if self.tolerance.preset != "none" else 0.0
         if problems := MarkerLayer.stiff_problems(
             self.body, self.markers, self.material, self.cover, shortfall

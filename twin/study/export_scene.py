@@ -49,6 +49,10 @@ def _readme(scene: Scene, middle_mm: float, files: list[Path]) -> str:
         "where the camera sees it",
         "the shift of colours, blur, noise and compression by the CCD (`[ccd]`)",
     ]
+    if scene.camera is not None and scene.camera.in_rubber:
+        left_out += ["marks in the rubber"]
+    if any(light.outside) or (scene.press is not None and scene.press.albedo is not None):
+        left_out += ["the probe, and the light of the surroundings (`light.outside`)"]
     if light.ambient:
         left_out += [f"the even share of light, `light.ambient` = {light.ambient:g}: no source"]
     if not light.radius_mm:

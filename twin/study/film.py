@@ -11,7 +11,6 @@ from __future__ import annotations
 import io
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cached_property
 from itertools import accumulate, pairwise
 from pathlib import Path
@@ -161,7 +160,7 @@ class Exposures:
         if background is not None:
             from twin.world.picture.cover import CoverMotion
 
-            still = np.zeros_like(background.points)
+            still = np.zeros_like(background.moving)
             cover = CoverMotion(displacement_mm=still, gradient=np.zeros((len(still), 3, 3)))
         still = np.zeros_like(points)
         gradient = np.zeros((len(points), 3, 3))
@@ -195,13 +194,9 @@ class Exposures:
             middle: Floats = one + share * (other - one)
             return middle
 
-        cover = first.cover
-        if cover is not None and second.cover is not None:
-            cover = replace(
-                cover,
-                displacement_mm=between(cover.displacement_mm, second.cover.displacement_mm),
-                gradient=between(cover.gradient, second.cover.gradient),
-            )
+        cover = first.cover or second.cover
+        if first.cover is not None and second.cover is not None:
+            cover = first.cover.between(second.cover, share)
         return Motion(
             displacement_mm=between(first.displacement_mm, second.displacement_mm),
             gradient=between(first.gradient, second.gradient),

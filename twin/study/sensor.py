@@ -89,7 +89,8 @@ class Motion:
     error
         Estimated largest error of the displacements over the largest displacement.
     cover
-        Motion of the cover where the camera sees it; None where pictures don't show it.
+        Motion of the cover and of specks where the camera sees them, and probes that it sees; None
+        where pictures don't show any.
     """
 
     displacement_mm: Points
@@ -340,27 +341,29 @@ class Sensor:
             displacement_mm=found.displacement_mm,
             gradient=compliance.gradient(points, rectangles),
             error=found.error,
-            cover=self._cover_motion(compliance, rectangles),
+            cover=self._scenery(load, compliance, rectangles),
         )
         return self._with_stiff_beads(
             _with(more, points, passive), lambda p: compliance.displacement(p, rectangles)
         )
 
-    def _cover_motion(
-        self, compliance: Compliance | CoveredCompliance, rectangles: Rectangles
+    def _scenery(
+        self, load: Load, compliance: Compliance | CoveredCompliance, rectangles: Rectangles
     ) -> CoverMotion | None:
-        """Return the motion of the cover where the camera sees it."""
-        cover = self.nominal.cover
-        if cover is None or not cover.deforms or self.nominal.camera is None:
+        """Return the motion of what pictures show besides markers."""
+        camera, cover = self.nominal.camera, self.nominal.cover
+        deforms = cover is not None and cover.deforms
+        if camera is None or not (deforms or camera.in_rubber or load.probes):
             return None
-        from twin.world.picture.cover import CoverMotion
 
-        assert self.renderer.background is not None
-        points = self.renderer.background.points
-        return CoverMotion(
-            displacement_mm=compliance.displacement(points, rectangles),
-            gradient=compliance.gradient(points, rectangles),
-        )
+        def moved(points: Points) -> tuple[Points, Floats]:
+            displacement = compliance.displacement(points, rectangles)
+            gradient = compliance.gradient(points, rectangles)
+            if (more := self._strained(load)) is None:
+                return displacement, gradient
+            return displacement + more.displacement(points), gradient + more.gradient(points)
+
+        return self.renderer.scenery(moved, load.probes)
 
     @one_blas_thread()
     def quick_motion(self, load: Load, *, pictured: bool = True, gather: bool = True) -> Motion:
@@ -394,7 +397,7 @@ class Sensor:
         gradient = np.zeros((len(points), 3, 3))
         if (pictured and self.markers_strain) or self.stiff_beads is not None:
             gradient = self.compliance.gradient(points, whole)
-        cover = self._cover_motion(self.compliance, whole) if pictured else None
+        cover = self._scenery(load, self.compliance, whole) if pictured else None
         passive = Motion(displacement_mm=moved, gradient=gradient, error=error, cover=cover)
         return self._with_stiff_beads(
             _with(self._strained(load), points, passive),

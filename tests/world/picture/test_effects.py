@@ -5,13 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial import KDTree
 from scipy.special import ndtr
-from small_scenes import SPLAT, beads, block, changed, measured, mitsuba, rest_of, seen_at
+from small_scenes import SPLAT, beads, block, changed, measured, mitsuba, rest_of, scene_of, seen_at
 
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Ccd, Light
+from twin.parts.material import Cover
 from twin.parts.part import identity
+from twin.parts.probe import Cylinder
+from twin.world.contact.probe_gap import Approach, PlacedProbe
 from twin.world.picture.ccd import Pattern, expose
+from twin.world.picture.cover import CoverMotion
 from twin.world.picture.lamps import Lamps
 from twin.world.picture.render import Renderer
 from twin.world.picture.stock_scene import surfaces
@@ -401,3 +406,157 @@ def test_a_skin_of_a_smaller_index_than_the_rubber_is_refused():
         RecipeError, match=r"markers.red.gloss = \(1.59, 0.1\): the skin's index must be above .* = 1.6"
     ):
         Renderer.method(dense)
+
+
+# What is seen behind the markers and in the rubber
+
+
+def bare_block(**tables):
+    """Return the block without a cover and even light, seen by a camera over its middle."""
+    scene = block().model_copy(update={"cover": None})
+    upright = {"pupil_mm": (0.0, 0.0, scene.camera.pupil_mm[2]), "tilt_deg": (0.0, 0.0, 0.0)}
+    return changed(scene, **{"light": {"ambient": 0.0}, "camera": upright, **tables})
+
+
+def faced(z_mm, diameter_mm=2.0, albedo=(0.4, 0.2, 0.1)):
+    """Return a cylinder whose face is at a height in the body, or before it (z < 0)."""
+    first = Approach(probe=Cylinder(diameter_mm=diameter_mm), axis_mm=np.zeros(3), touch_mm=np.zeros(3), axes=np.eye(3))
+    return PlacedProbe(first=first, pose=np.array([0.1, 0.05, z_mm, 0, 0, 0]), albedo=albedo)
+
+
+def specked(**keys):
+    """Return the block with balls in the rubber, and their places."""
+    scene = bare_block()
+    marks = Camera.Marks(**{"count": 2000, "size_mm": 0.3, "depth_mm": 12.0, "albedo": 0.0, **keys})
+    camera = scene.camera.model_copy(update={"bubbles": marks})
+    scene = changed(scene.model_copy(update={"camera": camera}), light={"outside": (1.0, 1.0, 1.0), "ambient": 0.0})
+    places = np.pad(marks.lines((-50, -45), (50, 45)).mean(axis=1), ((0, 0), (0, 1)), constant_values=marks.depth_mm)
+    return scene, places[np.abs(places[:, :2]).max(axis=1) < 48]
+
+
+@pytest.mark.parametrize("hollow", [0.0, 0.7])
+def test_specks_in_the_rubber_are_carried_and_strained_by_it(hollow):
+    scene, places = specked(hollow=hollow, seed=12)
+    renderer = Renderer(scene, rest_of(scene), SPLAT, subpixels=6)
+    none = beads([(0, 0, np.nan)])
+    clear = Renderer(changed(scene, camera={"bubbles": None}), rest_of(scene), SPLAT).radiance(none)[:, :, 1]
+    stretch = np.diag([0.2, 0.0, 0.0])
+
+    def moved(points):
+        return np.tile([0.3, -0.2, 0.1], (len(points), 1)), np.tile(stretch, (len(points), 1, 1))
+
+    for at, motion, wide in (
+        (places, None, 1.0),
+        (places + np.array([0.3, -0.2, 0.1]), renderer.scenery(moved, ()), 1.2),
+    ):
+        share = 1 - renderer.radiance(none, motion)[:, :, 1] / clear
+        pixels = seen_at(at, scene)
+        alone = KDTree(pixels).query(pixels, 2)[0][:, 1] > 22
+        inside = np.flatnonzero(((pixels > 12) & (pixels < (107, 77))).all(axis=1) & alone)
+        assert len(inside) == 4
+        for column, row in pixels[inside]:
+            window = np.s_[round(row) - 9 : round(row) + 10, round(column) - 9 : round(column) + 10]
+            rows, columns = np.mgrid[window]
+            part = share[window]
+            # px per mm at that depth, by the projection of two points around
+            ends = seen_at(np.array([[0.0, 0.0, 12.0], [0.1, 0.0, 12.0]]), scene)
+            radius = 0.15 * 10 * np.linalg.norm(ends[1] - ends[0])
+            assert part.sum() == pytest.approx(np.pi * radius**2 * wide * (1 - hollow**2), rel=0.04)
+            assert_allclose([(part * columns).sum(), (part * rows).sum()] / part.sum(), (column, row), atol=0.05)
+
+
+@pytest.mark.parametrize(("depth_mm", "hidden"), [(2.0, True), (12.0, False)])
+def test_markers_nearer_to_the_camera_hide_specks_and_others_do_not(depth_mm, hidden):
+    scene, _ = specked(depth_mm=depth_mm, count=20000, albedo=0.9)
+    white = changed(scene, light={"outside": (0.0, 0.0, 0.0)})
+    plain = changed(white, camera={"bubbles": None})
+    markers = rest_of(scene)
+    with_specks, without = (Renderer(each, markers, SPLAT).radiance(markers)[:, :, 2] for each in (white, plain))
+    red = seen_at(markers.centres[:6], scene)
+    there = np.rint(red).astype(int)
+    change = np.array([np.abs(with_specks - without)[r - 2 : r + 3, c - 2 : c + 3].max() for c, r in there])
+    assert (np.abs(with_specks - without) > 0.05).mean() > 0.1
+    assert (change < 1e-6).all() if hidden else (change > 0.05).any()
+
+
+def behind(scene, *probes):
+    """Return a picture of no marker with probes, without the exposure."""
+    renderer = Renderer(scene, rest_of(scene), SPLAT)
+    still = np.zeros((0, 3))
+    cover = CoverMotion(displacement_mm=still, gradient=np.zeros((0, 3, 3)), probes=probes)
+    return renderer.radiance(beads([(0, 0, np.nan)]), cover) / renderer.exposure
+
+
+@pytest.mark.parametrize("z_mm", [0.5, -3.0])
+def test_a_probe_is_seen_through_bare_rubber_where_snells_law_has_it(z_mm):
+    """A face in the rubber is as deep as a bead there; one behind it adds a layer of air, by hand."""
+    scene = bare_block()
+    seen = behind(scene, faced(z_mm, 4.0))[:, :, 0]
+    around = np.arange(360) * np.pi / 180
+    rim = np.column_stack([0.1 + 2 * np.cos(around), 0.05 + 2 * np.sin(around), np.full(360, max(z_mm, 0.0))])
+    if z_mm > 0:
+        column, row = seen_at(rim, scene).T
+    else:
+        gap = scene.camera.pupil_mm[2] - scene.body.base_z_mm - sum(la.thickness_mm for la in scene.camera.layers)
+        media = [(scene.body.base_z_mm, scene.material.refractive_index), (gap - z_mm, 1.0)]
+        media += [(la.thickness_mm, la.index) for la in scene.camera.layers]
+        radius = np.hypot(rim[:, 0], rim[:, 1])
+        tangent = radius / sum(t / n for t, n in media)
+        for _ in range(50):  # a fixed point of the tangent in air
+            sine = tangent / np.sqrt(1 + tangent**2)
+            tangent = tangent * radius / sum(t * sine / n / np.sqrt(1 - (sine / n) ** 2) for t, n in media)
+        away = scene.camera.focal_px * tangent / radius
+        column, row = scene.camera.centre_px[0] + away * rim[:, 0], scene.camera.centre_px[1] - away * rim[:, 1]
+    area = 0.5 * np.abs(np.sum(column * np.roll(row, -1) - row * np.roll(column, -1)))
+    assert (seen > 0).sum() == pytest.approx(area, rel=0.006)
+    centre = spot(seen > 0)[:2]
+    assert_allclose(centre, (column.mean(), row.mean()), atol=0.1)
+
+
+def test_a_probe_is_as_bright_as_a_cover_in_its_place_and_a_gap_takes_light_twice():
+    bare = bare_block()
+    covered = bare.model_copy(update={"cover": Cover(thickness_mm=0.5, albedo=(0.4, 0.2, 0.1))})
+    touching, expected = behind(bare, faced(0.5, 40.0)), behind(covered)
+    assert_allclose(touching[40:50, 55:65], expected[40:50, 55:65], rtol=2e-3)
+    close, mirrored = behind(bare, faced(-1e-6, 40.0)), (0.41 / 2.41) ** 2
+    level = behind(bare, faced(1e-6, 40.0))
+    assert_allclose(close[40:50, 55:65], (1 - mirrored) ** 2 * level[40:50, 55:65], rtol=2e-3)
+    thin = Cover(thickness_mm=0.01, albedo=(0.0, 0.0, 0.0), transmittance=0.3)
+    assert_allclose(
+        behind(bare.model_copy(update={"cover": thin}), faced(1e-6, 40.0)), 0.09 * level, rtol=1e-4, atol=1e-9
+    )
+    with pytest.raises(RecipeError, match=r"transmittance = 0.8: with an albedo of 0.3"):
+        Cover(albedo=(0.3, 0.1, 0.1), transmittance=0.8)
+
+
+def test_paths_see_the_same_probe_and_specks():
+    scene, _ = specked(albedo=0.5)
+    path = changed(scene, accuracy={"paths": 1}).model_copy(update={"renderer": "path"})
+    ours = Renderer(scene, rest_of(scene), SPLAT), beads([(2.0, 1.5, 6)])
+    theirs = Renderer(path, rest_of(scene), mitsuba()), ours[1]
+    still = np.zeros_like(ours[0].background.moving)
+    cover = CoverMotion(displacement_mm=still, gradient=np.zeros((len(still), 3, 3)), probes=(faced(0.5),))
+    one, two = (renderer.radiance(markers, cover) for renderer, markers in (ours, theirs))
+    away = np.ones(one.shape[:2], bool)
+    column, row = np.rint(seen_at(ours[1].centres, scene)[0]).astype(int)
+    away[row - 12 : row + 13, column - 12 : column + 13] = False
+    assert_allclose(two[away], one[away], atol=1e-6 * one.max())
+    assert one[away].std() > 0.05
+
+
+def test_light_of_the_surroundings_comes_through_but_for_the_probe():
+    scene = bare_block(light={"ambient": 0.0, "outside": (0.5, 0.3, 0.1)})
+    light, dark = behind(scene), behind(bare_block())
+    assert not dark.any()
+    assert_allclose(light[44, 59] / light[44, 59, 0], [1, 0.6, 0.2], rtol=1e-5)
+    # Against white paper there, whose irradiance is known relative to the brightest marker's.
+    places, up = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])
+    top = Lamps.brightest(rest_of(scene), scene)[0]
+    share = (1 - (0.41 / 2.41) ** 2) * 0.5 * top / Lamps.at(places, scene).irradiance(places, up)[0]
+    white = behind(bare_block(), faced(1e-6, 40.0, (1.0, 1.0, 1.0)))[44, 59, 0]
+    shone = behind(scene)[44, 59, 0]
+    assert shone == pytest.approx(share * white, rel=1e-3)
+    hidden = behind(scene, faced(0.5, albedo=(0.0, 0.0, 0.0)))
+    assert (hidden[42:46, 57:62] == 0).all()
+    with pytest.raises(ValueError, match=r"light.outside: the cover hides it; set cover.transmittance"):
+        scene_of("block", light={**scene_of("block").light.model_dump(), "outside": (1, 1, 1)})

@@ -31,7 +31,15 @@ from twin.theory.relaxation import Relaxation, RubberMemory
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem
 from twin.world.contact.friction_law import STICKS_FROM
 from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence
-from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, Approach, Z, half_extent, rotation_of
+from twin.world.contact.probe_gap import (
+    ABOUT_X,
+    MOTIONS,
+    Approach,
+    PlacedProbe,
+    Z,
+    half_extent,
+    rotation_of,
+)
 from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
 
 _STAYS = 0.05
@@ -69,7 +77,8 @@ class ProbeSetup:
 
     ``first`` is the probe at first touch of the path, from which places count; ``across`` the
     patches across the contact, or across its pieces; ``most`` those under it at most, at 16 across.
-    The moduli serve the first guess of the contact's size.
+    The moduli serve the first guess of the contact's size. ``albedo`` is that of a probe that
+    pictures show.
     """
 
     body: Body
@@ -79,11 +88,18 @@ class ProbeSetup:
     most: int
     youngs_modulus_mpa: float
     poisson_ratio: float
+    albedo: tuple[float, float, float] | None = None
 
     @property
     def probe(self) -> Probe:
         """The rigid probe."""
         return self.first.probe
+
+    def placed(self, pose: Floats) -> tuple[PlacedProbe, ...]:
+        """Return the probe at a pose, if pictures show it."""
+        if self.albedo is None:
+            return ()
+        return (PlacedProbe(first=self.first, pose=np.array(pose), albedo=self.albedo),)
 
     @cached_property
     def face(self) -> Footprint | None:

@@ -361,7 +361,7 @@ class ContactState(Table):
         """Return the state of a probe that touches nothing."""
         axes = setup.first.axes
         return cls(
-            load=Load(),
+            load=Load(probes=setup.placed(pose)),
             indentation_mm=0.0,
             move_mm=pose[: Z + 1] @ axes,
             turn_deg=math.degrees(pose[TURN]),
@@ -426,8 +426,9 @@ class ContactState(Table):
             squared = float(np.max(np.sum(slope[active][:, : Z + 1] ** 2, axis=1)))
             steepest = math.sqrt(min(max(1.0, squared), _GRAZED) - 1.0)
         own = np.concatenate((pose, equilibrium.total[ABOUT_X:])).reshape(3, 3) @ axes
+        terms = (patches.rectangles(force, active),) if touches else ()
         return cls(
-            load=Load((patches.rectangles(force, active),)) if touches else Load(),
+            load=Load(terms, probes=setup.placed(pose)),
             indentation_mm=depth,
             move_mm=own[0],
             turn_deg=math.degrees(pose[TURN]),

@@ -633,6 +633,7 @@ def press(
             most=_MOST_RUBBED if relaxation or any(each.friction for each in presses) else _MOST,
             youngs_modulus_mpa=youngs_modulus_mpa,
             poisson_ratio=poisson_ratio,
+            albedo=one.albedo,
         )
         for one in presses
     )

@@ -621,6 +621,28 @@ class Approach:
         return replace(self, probe=self.probe.model_copy(update={"edge_mm": edge_mm}))
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlacedProbe:
+    """A probe at its pose, as pictures show it; see `twin.parts.load.Load.Placed`."""
+
+    first: Approach
+    pose: Floats
+    albedo: tuple[float, float, float]
+
+    def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
+        """Return how far outwards lines enter the probe, and its normals there."""
+        first = self.first
+        turned = first.axes.T @ rotation_of(self.pose[ABOUT_X:])
+        place = first.axis_mm + self.pose[: Z + 1] @ first.axes
+        shape = _shape_of(first.probe, first.tilt_deg)
+        distance, normal = shape.met((points - place) @ turned, along @ turned)
+        return distance, normal @ turned.T
+
+    def between(self, other: PlacedProbe, share: float) -> PlacedProbe:
+        """Return the same probe on its way to the place of another."""
+        return replace(self, pose=self.pose + share * (other.pose - self.pose))
+
+
 @njit(cache=True)
 def _slopes(
     own: Floats, along: Floats, gap: Floats, normal: Floats, turned: Floats, turning: Floats

@@ -29,10 +29,11 @@ import numpy as np
 from twin.arrays import Bools, Floats, Pixels, Singles
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Ccd
+from twin.parts.load import Load
 from twin.parts.scene import Scene
 from twin.theory.lens import lens_inverse
 from twin.theory.optics import project, rays, reflection, transmission
-from twin.world.picture.cover import cover_light, stretch
+from twin.world.picture.cover import Outlook, cover_light, stretch
 from twin.world.picture.lamps import Lamps
 
 PUPIL_WEIGHTS = np.concatenate([[0.25], np.full(6, 0.125)])
@@ -74,6 +75,8 @@ class View:
         (height, width, 3) light from the cover behind the markers, vignette included.
     veil
         (height, width, k) light of mirrored LEDs in front of all, k of `Light.tints`, or None.
+    outlook
+        What is seen behind the sensing surface, None where that is black or hidden.
     """
 
     corners: Floats
@@ -81,6 +84,7 @@ class View:
     vignette: Singles
     cover: Singles
     veil: Singles | None
+    outlook: Outlook | None = None
 
     @staticmethod
     def of(scene: Scene, top: float) -> View:
@@ -105,14 +109,18 @@ class View:
             corners[first : last + 1] = rays_here.reshape(*shape, 4)
             sees[first:last] = _pixelwise(inside.reshape(shape), np.logical_and)
             vignette[first:last] = 0.25 * _pixelwise(passed.reshape(shape), np.add)
-        for marks in (camera.dust, camera.scratches, camera.bubbles):
-            if marks is not None:
-                share, light = _marked(marks, corners, scene)
-                vignette *= 1 - share
-                glare = 0.0 if veil is None else veil * (1 - share)[:, :, None]
-                veil = (light * share[:, :, None] * _outside(scene, top) + glare).astype(np.float32)
+        for marks in camera.on_window:
+            share, light = _marked(marks, corners, scene)
+            vignette *= 1 - share
+            glare = 0.0 if veil is None else veil * (1 - share)[:, :, None]
+            veil = (light * share[:, :, None] * _outside(scene, top) + glare).astype(np.float32)
         cover = _cover_picture(scene, top, sees) * (vignette * sees)[:, :, None]
-        return View(corners=corners, sees=sees, vignette=vignette, cover=cover, veil=veil)
+        outlook = None
+        if scene.cover is None or scene.cover.transmittance > 0:
+            outlook = Outlook(corners, sees, scene, top)
+        return View(
+            corners=corners, sees=sees, vignette=vignette, cover=cover, veil=veil, outlook=outlook
+        )
 
     @staticmethod
     def pupil_cameras(scene: Scene) -> list[Camera]:
@@ -166,6 +174,13 @@ class View:
         veil = None if self.veil is None else factor * self.veil
         return replace(self, vignette=factor * self.vignette, cover=factor * self.cover, veil=veil)
 
+    def behind(self, probes: tuple[Load.Placed, ...]) -> Singles | None:
+        """Return the (height, width, 3) light of what is seen behind the sensing surface; None if
+        nothing is."""
+        if self.outlook is None or not (probes or self.outlook.is_bright):
+            return None
+        return self.outlook.light(probes) * self.vignette[:, :, None]
+
     def ground_light(self, ccd: Ccd) -> float:
         """Return the light in a CCD's brightest channel that 99 % of the pixels do not exceed
         without markers.
@@ -173,6 +188,8 @@ class View:
         One pixel in a hundred may be brighter, so that mirrored LEDs don't set the exposure.
         """
         ground = self.cover if self.veil is None else self.cover + self.veil
+        if (behind := self.behind(())) is not None:
+            ground = ground + behind
         return float(np.quantile((ground @ ccd.response.T).max(axis=2), _EXPOSED))
 
 

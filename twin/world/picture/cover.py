@@ -1,22 +1,33 @@
-"""The cover behind the markers: its light at rest, and how a press changes it.
+"""What lies behind the markers and in the rubber: the cover, probes seen through it, specks.
 
 A press tilts the black cover and moves it towards the camera, so that it takes other light. Both
 are smooth, so they are computed on a coarse grid of rays and multiply the picture of the cover at
 rest. Where LEDs stand all around the lens, a bulge changes even a grey cover by a count or less.
 
+Through rubber without a cover, or with one that passes light, the camera sees probes and the
+surroundings. A ray goes straight on into a probe that stands below the surface at rest; elsewhere
+it leaves the rubber there, as Snell's law bends it, through a gap of air.
+
 Validity: the change is first order in the displacement; detail finer than the grid, at the rim of a
-contact, is smoothed; the cover takes no shadows, as it is nearly black.
+contact, is smoothed; the cover takes no shadows, as it is nearly black, and probes take none.
+Probes are lit as if the rubber went on to them, outlines are sharp to a pixel, and what stands in
+the rubber counts as touching it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Points, Singles
+from twin.arrays import Bools, Floats, Ints, Points, Singles
+from twin.parts.body import Body
+from twin.parts.camera import Camera
+from twin.parts.load import Load
 from twin.parts.scene import Scene
-from twin.theory.optics import rays
+from twin.theory.optics import rays, reflection
+from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import Lamps
 
 _STEP_PX = 16
@@ -25,7 +36,7 @@ _STEP_PX = 16
 
 @dataclass(frozen=True, kw_only=True)
 class CoverMotion:
-    """How the places of a `Background` move.
+    """How the places of a `Background` that move have moved, and what stands behind them.
 
     Attributes
     ----------
@@ -33,14 +44,32 @@ class CoverMotion:
         (m, 3) displacements, mm.
     gradient
         (m, 3, 3) displacement gradients du_i/dx_j.
+    probes
+        The probes that pictures show.
     """
 
     displacement_mm: Points
     gradient: Floats
+    probes: tuple[Load.Placed, ...] = ()
+
+    def between(self, other: CoverMotion, share: float) -> CoverMotion:
+        """Return the motion at a share of the way to another."""
+
+        def middle(one: Floats, two: Floats) -> Floats:
+            between: Floats = one + share * (two - one)
+            return between
+
+        both = zip(self.probes, other.probes, strict=False)
+        return CoverMotion(
+            displacement_mm=middle(self.displacement_mm, other.displacement_mm),
+            gradient=middle(self.gradient, other.gradient),
+            probes=tuple(a.between(b, share) for a, b in both) or other.probes,
+        )
 
     def turned(self, normals: Floats) -> Floats:
-        """Return (m, 3) unit normals of the deformed surface, F^-T n with F = I + du/dx."""
-        deformed = np.swapaxes(np.eye(3) + self.gradient, 1, 2)
+        """Return (k, 3) unit normals of the deformed surface, F^-T n with F = I + du/dx, at the
+        first k places."""
+        deformed = np.swapaxes(np.eye(3) + self.gradient[: len(normals)], 1, 2)
         moved = np.asarray(np.linalg.solve(deformed, normals[:, :, None])[:, :, 0], np.float64)
         unit: Floats = moved / np.linalg.norm(moved, axis=1, keepdims=True)
         return unit
@@ -67,13 +96,53 @@ class Background:
         )
         nodes = np.stack(np.meshgrid(self._columns, self._rows), axis=-1).reshape(-1, 2)
         origins, directions = rays(nodes, *scene.optics)
-        points, normals = _cover_places(origins, directions, scene)
+        points, normals = np.full((2, len(nodes), 3), np.nan)
+        if scene.cover is not None:
+            depth = scene.cover.thickness_mm
+            points, normals = _places_at(origins, directions, scene.body, depth)
         self._met = np.isfinite(points[:, 0])
         self._along = directions[self._met]
         self.normals: Floats = normals[self._met]
         """(m, 3) inward normals there."""
         self.points: Points = points[self._met]
         """(m, 3) places on the cover's inner side at rest, mm."""
+
+    @cached_property
+    def _specks(self) -> list[tuple[Camera.Marks, Points]]:
+        """Marks in the rubber, and their places at rest."""
+        camera, _ = self._scene.imaging
+        body = self._scene.body
+        found = []
+        for marks in camera.in_rubber:
+            assert marks.depth_mm is not None
+            places = body.surface_from_above(marks.lines(*body.bounds_mm).mean(axis=1))
+            places = places[np.isfinite(places).all(axis=1)]
+            places = places + marks.depth_mm * body.piece_normals(places)[:, 0]
+            found.append((marks, places[body.contains(places, marks.size_mm / 2)]))
+        return found
+
+    @cached_property
+    def moving(self) -> Points:
+        """(m, 3) places whose motion pictures show, mm: of a cover that deforms, and of specks."""
+        cover = self._scene.cover
+        still = cover is None or not cover.deforms
+        return np.concatenate(
+            [self.points[:0] if still else self.points, *(places for _, places in self._specks)]
+        )
+
+    def specks(self, motion: CoverMotion | None) -> list[tuple[Camera.Marks, Ellipsoids]]:
+        """Return marks in the rubber and their shapes after a motion; None: at rest."""
+        found = []
+        last = len(self.moving) - sum(len(places) for _, places in self._specks)
+        for marks, places in self._specks:
+            first, last = last, last + len(places)
+            axes = np.tile(marks.size_mm / 2 * np.eye(3), (len(places), 1, 1))
+            if motion is not None:
+                places = places + motion.displacement_mm[first:last]
+                axes = axes + motion.gradient[first:last] @ axes
+            colour = np.full((len(places), 3), marks.albedo)
+            found.append((marks, Ellipsoids(centres=places, axes=axes, colour=colour)))
+        return found
 
     @property
     def triangles(self) -> Ints:
@@ -94,7 +163,8 @@ class Background:
         A ray meets the moved surface where it has come (u . n) / (d . n) farther along its
         direction d.
         """
-        ahead = np.einsum("ni,ni->n", motion.displacement_mm, self.normals)
+        displacement_mm = motion.displacement_mm[: len(self.points)]
+        ahead = np.einsum("ni,ni->n", displacement_mm, self.normals)
         ahead = ahead / np.einsum("ni,ni->n", self._along, self.normals)
         moved = self.points + self._along * ahead[:, None]
         normals = motion.turned(self.normals)
@@ -122,7 +192,7 @@ def cover_light(origins: Points, directions: Floats, scene: Scene, top: float) -
     """
     light = np.zeros((len(origins), 3))
     if scene.cover is not None:
-        points, normals = _cover_places(origins, directions, scene)
+        points, normals = _places_at(origins, directions, scene.body, scene.cover.thickness_mm)
         seen = np.isfinite(points[:, 0])
         bright = _brightness(points[seen], normals[seen], scene, top)
         light[seen] = bright * np.asarray(scene.cover.albedo)
@@ -136,29 +206,101 @@ def stretch(nodes: Floats, size: int) -> Floats:
     )
 
 
-def _cover_places(origins: Points, directions: Floats, scene: Scene) -> tuple[Points, Floats]:
-    """Return (n, 3) places where rays inside the body meet the cover at rest, mm, and its inward
-    normals; NaN for none.
+class Outlook:
+    """What the camera sees behind the sensing surface.
 
-    The cover's inner side is a level set of the depth, an exact distance: rays march by it.
+    Parameters
+    ----------
+    corners, sees
+        Of `twin.world.picture.camera_rays.View`.
+    scene
+        With camera and light.
+    top
+        The irradiance that counts as 1.
     """
-    assert scene.cover is not None
+
+    def __init__(self, corners: Floats, sees: Bools, scene: Scene, top: float) -> None:
+        self._corners, self._sees, self._scene, self._top = corners, sees, scene, top
+
+    @property
+    def is_bright(self) -> bool:
+        """Whether there is light without a probe."""
+        return any(self._scene.imaging[1].outside)
+
+    @cached_property
+    def _exits(self) -> tuple[Ints, Points, Floats, Floats, Floats]:
+        """(n,) flat numbers of pixels whose rays leave the body at rest, (n, 3) places, directions
+        before and after it there, and (n,) shares that pass."""
+        corners, sees, scene = self._corners, self._sees, self._scene
+        middle = (corners[:-1, :-1] + corners[:-1, 1:] + corners[1:, :-1] + corners[1:, 1:]) / 4
+        ray = middle[sees]
+        down = np.column_stack([ray[:, 2:], np.full(len(ray), -1.0)])
+        along = down / np.linalg.norm(down, axis=1, keepdims=True)
+        origins = np.pad(ray[:, :2], ((0, 0), (0, 1)), constant_values=scene.body.base_z_mm)
+        places, normals = _places_at(origins, along, scene.body, 0.0)
+        met = np.isfinite(places[:, 0])
+        places, along, normals = places[met], along[met], normals[met]
+        # Snell's law into the air; a ray that is mirrored back sees nothing.
+        index = scene.material.refractive_index
+        cosine = -np.sum(along * normals, axis=1)
+        square = 1 - index**2 * (1 - cosine**2)
+        in_air = np.sqrt(np.maximum(square, 0.0))
+        air = index * along + (index * cosine - in_air)[:, None] * normals
+        slant = np.sqrt(1 - in_air**2) / np.maximum(in_air, 1e-6)
+        passed = np.where(square > 0, 1 - reflection(slant, index, 1.0), 0.0)
+        return np.flatnonzero(sees)[met], places, along, air, passed
+
+    def light(self, probes: tuple[Load.Placed, ...]) -> Singles:
+        """Return the (height, width, 3) light from there before vignetting and gain."""
+        pixels, places, along, air, passed = self._exits
+        cover = self._scene.cover
+        through = 1.0 if cover is None else cover.transmittance
+        seen = (through * passed)[:, None] * np.array(self._scene.imaging[1].outside)
+        nearest = np.full(len(seen), np.inf)
+        for probe in probes:
+            # In the rubber, or else behind the gap.
+            ahead, normals = probe.met(places, -along)
+            behind, their_normals = probe.met(places, -air)
+            within = ahead <= 0
+            way = np.where(within, ahead, np.where((behind > 0) & (passed > 0), behind, np.inf))
+            hit = np.flatnonzero(way < nearest)
+            nearest[hit] = way[hit]
+            within = within[hit]
+            onward = np.where(within[:, None], along[hit], air[hit])
+            towards = np.where(within[:, None], normals[hit], their_normals[hit])
+            points = places[hit] + way[hit, None] * onward
+            bright = _brightness(points, towards, self._scene, self._top)
+            share = through**2 * np.where(within, 1.0, passed[hit] ** 2)
+            seen[hit] = share[:, None] * bright * np.array(probe.albedo)
+        picture = np.zeros((*self._sees.shape, 3), np.float32)
+        picture.reshape(-1, 3)[pixels] = seen
+        return picture
+
+
+def _places_at(
+    origins: Points, directions: Floats, body: Body, depth_mm: float
+) -> tuple[Points, Floats]:
+    """Return (n, 3) places where rays inside a body at rest meet a level set of the depth, mm, and
+    its inward normals; NaN for none.
+
+    The depth is an exact distance: rays march by it.
+    """
     points, normals = np.full((len(origins), 3), np.nan), np.full((len(origins), 3), np.nan)
     seen = np.flatnonzero(
-        np.isfinite(origins).all(axis=1) & scene.body.contains(np.nan_to_num(origins), -1e-6)
+        np.isfinite(origins).all(axis=1) & body.contains(np.nan_to_num(origins), -1e-6)
     )
     start, along = origins[seen], directions[seen]
     distance = np.zeros(len(start))
     gap = np.zeros(len(start))
     for _ in range(80):
-        gap = scene.body.depth(start + along * distance[:, None]) - scene.cover.thickness_mm
+        gap = body.depth(start + along * distance[:, None]) - depth_mm
         distance += gap
         if not np.any(np.abs(gap) > 1e-4):
             break
     places = start + along * distance[:, None]
-    hits = (scene.body.piece_distances(places)[:, 1:] > -1e-3).all(axis=1) & (np.abs(gap) < 1e-2)
+    hits = (body.piece_distances(places)[:, 1:] > -1e-3).all(axis=1) & (np.abs(gap) < 1e-2)
     points[seen[hits]] = places[hits]
-    normals[seen[hits]] = scene.body.piece_normals(places[hits])[:, 0]
+    normals[seen[hits]] = body.piece_normals(places[hits])[:, 0]
     return points, normals
 
 

@@ -14,13 +14,15 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Singles
+from twin.arrays import Floats, Points, Singles
 from twin.errors import MissingCapability, RecipeError
+from twin.parts.load import Load
 from twin.parts.scene import Scene
 from twin.world.picture.backend import FORCE, Variant
 from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View
@@ -202,23 +204,35 @@ class Renderer:
 
     @cached_property
     def background(self) -> Background | None:
-        """The places of the cover whose motion `radiance` takes; None for a cover at rest."""
+        """The places of the cover, and of specks in the rubber, whose motion `radiance` takes; None
+        where none moves."""
         cover = self.scene.cover
-        return Background(self.scene, self._top) if cover is not None and cover.deforms else None
+        moves = self.scene.imaging[0].in_rubber or (cover is not None and cover.deforms)
+        return Background(self.scene, self._top) if moves else None
+
+    def scenery(
+        self, moved: Callable[[Points], tuple[Points, Floats]], probes: tuple[Load.Placed, ...]
+    ) -> CoverMotion | None:
+        """Return what `radiance` takes of a load: ``moved`` gives displacements and gradients of
+        places; None where pictures don't show any of it."""
+        if self.background is None and (self._view.outlook is None or not probes):
+            return None
+        places = np.zeros((0, 3)) if self.background is None else self.background.moving
+        displacement, gradient = moved(places) if len(places) else (places, np.zeros((0, 3, 3)))
+        return CoverMotion(displacement_mm=displacement, gradient=gradient, probes=probes)
 
     def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
         """Return the (height, width, 3) light on the sensor, 1 filling its wells.
 
         ``cover`` has how the places of `background` have moved; None: they are at rest.
         """
-        factor = self._cover_factor(cover)
         if not self._parts:
             job = self._job(markers, self.subpixels)
-            return self._over_cover(markers, job, *self._shader.shade(job), factor)
+            return self._over_cover(markers, job, *self._shader.shade(job), cover)
         light: Singles = np.zeros_like(self._view.cover)
         for weight, part in self._parts:
             job = part._job(markers, self.subpixels)
-            one = part._over_cover(markers, job, *part._shader.shade(job), factor)
+            one = part._over_cover(markers, job, *part._shader.shade(job), cover)
             light += weight * one
         return light
 
@@ -230,13 +244,7 @@ class Renderer:
             return self.radiance(markers, cover), self.outlines(markers)
         job = self._job(markers, self.subpixels)
         marks, free, outlines = self._splat.look(job)
-        light = self._over_cover(markers, job, marks, free, self._cover_factor(cover))
-        return light, outlines
-
-    def _cover_factor(self, cover: CoverMotion | None) -> Singles | None:
-        """Return (height, width, k) factors on the cover's light, None at rest."""
-        background = self.background
-        return None if cover is None or background is None else background.change(cover)
+        return self._over_cover(markers, job, marks, free, cover), outlines
 
     def _over_cover(
         self,
@@ -244,13 +252,16 @@ class Renderer:
         job: PictureJob,
         marks: Singles,
         free: Singles,
-        factor: Singles | None,
+        cover: CoverMotion | None,
     ) -> Singles:
         """Return the picture: (m, 3) light of markers, and their highlights, over what they leave
-        free of the cover."""
+        free of the cover, and specks over both."""
         light = self._view.cover.copy()
-        if factor is not None:
-            light *= factor
+        if cover is not None and self.scene.cover is not None and self.scene.cover.deforms:
+            assert self.background is not None
+            light *= self.background.change(cover)
+        if (behind := self._view.behind(() if cover is None else cover.probes)) is not None:
+            light += behind
         there = light.reshape(-1, 3)
         seen = there.take(job.pixels, axis=0)
         seen *= free[:, None]
@@ -259,9 +270,49 @@ class Renderer:
         if markers.gloss is not None and self.scene.imaging[1].ambient < 1:
             bright = highlights(markers, self.scene, self._top)
             light += bright * self._view.vignette[:, :, None]
+        self._add_specks(light, markers, cover)
         if self._view.veil is not None:
             light += self._view.veil
         return light
+
+    def _add_specks(self, light: Singles, markers: Ellipsoids, cover: CoverMotion | None) -> None:
+        """Lay marks in the rubber over what lies behind them, in place."""
+        if self.background is None:
+            return
+        for marks, shapes in self.background.specks(cover):
+            bright, covered = self._drawn(shapes, marks.size_mm / 2)
+            if marks.hollow > 0:
+                inner = replace(shapes, axes=marks.hollow * shapes.axes)
+                rim = np.maximum(covered - self._drawn(inner, marks.size_mm / 2)[1], 0)
+                bright *= (rim / np.maximum(covered, 1e-6))[:, :, None]
+                covered = rim
+            # Markers nearer to the camera hide them.
+            nearer = markers.rows(self.scene.body.depth(markers.centres) > marks.depth_mm)
+            if len(nearer):
+                free = 1 - self._drawn(nearer, self._unit)[1]
+                bright *= free[:, :, None]
+                covered = covered * free
+            light *= 1 - covered[:, :, None]
+            light += bright * self._view.vignette[:, :, None]
+
+    def _drawn(self, shapes: Ellipsoids, unit_mm: float) -> tuple[Singles, Singles]:
+        """Return the (height, width, 3) light of ellipsoids without shadows, before vignetting and
+        gain, and the (height, width) share of each pixel that they cover."""
+        job = PictureJob.of(
+            shapes,
+            self.scene,
+            self._view,
+            unit_mm=unit_mm,
+            full_power=self._top,
+            subpixels=self.subpixels,
+            shadows=False,
+        )
+        light, free = Splat(self._view, unit_mm, self.scene.imaging[1].ambient).shade(job)
+        bright = np.zeros_like(self._view.cover)
+        covered = np.zeros(bright.shape[:2], np.float32)
+        bright.reshape(-1, 3)[job.pixels] = light
+        covered.reshape(-1)[job.pixels] = 1 - free
+        return bright, covered
 
     def outlines(self, markers: Ellipsoids, subpixels: int | None = None) -> Outlines:
         """Return centroid, share and area of what the picture shows of each marker, in closed form;
@@ -309,6 +360,9 @@ class PathRenderer(Renderer):
         light = (1 - share) * self._path_tracer.radiance(markers, cover)
         if share > 0:
             light += share * self._evenly_lit.radiance(markers)
+        if (behind := self._view.behind(() if cover is None else cover.probes)) is not None:
+            light += (1 - self._drawn(markers, self._unit)[1])[:, :, None] * behind
+        self._add_specks(light, markers, cover)
         if self._view.veil is not None:
             light += self._view.veil
         return light

@@ -154,8 +154,8 @@ def surfaces(
         assert scene.cover is not None
         places = background.points
         normals = background.normals
-        if cover is not None:
-            places = places + cover.displacement_mm
+        if cover is not None and scene.cover.deforms:
+            places = places + cover.displacement_mm[: len(places)]
             normals = cover.turned(normals)
         found["cover"] = Triangles(
             places=places,
