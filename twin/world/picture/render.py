@@ -280,6 +280,7 @@ class Renderer:
         if self.background is None:
             return
         for marks, shapes in self.background.specks(cover):
+            assert marks.depth_mm is not None
             bright, covered = self._drawn(shapes, marks.size_mm / 2)
             if marks.hollow > 0:
                 inner = replace(shapes, axes=marks.hollow * shapes.axes)
