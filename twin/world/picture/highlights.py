@@ -19,10 +19,10 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Points, Singles
 from twin.compiled import njit
 from twin.parts.scene import Scene
-from twin.theory.optics import project_with_jacobian, reflection
+from twin.theory.optics import reflection
+from twin.world.picture.camera_rays import View
 from twin.world.picture.ellipsoids import Ellipsoids
-from twin.world.picture.lamps import Lamps
-from twin.world.picture.picture_job import Indices, occluders
+from twin.world.picture.picture_job import Indices, PictureJob, occluders
 
 _AROUND, _RINGS = 8, 7
 """Normals of facets for each LED: so many around, and from steep to flat; those of one ring for
@@ -32,48 +32,51 @@ _GOLDEN = (np.sqrt(5) - 1) / 2
 """By this share of a step each ring is turned against the one before."""
 
 
-def highlights(markers: Ellipsoids, scene: Scene, top: float) -> Singles:
-    """Return the (height, width, 3) light of highlights before the camera's vignetting and gain, 1
-    for white in the brightest marker's place.
+def add_highlights(
+    picture: Singles, markers: Ellipsoids, job: PictureJob, scene: Scene, view: View
+) -> None:
+    """Add the light of highlights to a (height, width, 3) picture.
 
     Parameters
     ----------
-    markers, scene
-        The markers as they are now, some with `gloss`, and the actual scene.
-    top
-        The irradiance that counts as 1, of `twin.world.picture.lamps.Lamps.brightest`.
+    picture
+        In which 1 is the light that fills the wells.
+    markers, job
+        The markers as they are now, some with `gloss`, and the job that shades them: LEDs that it
+        has shadowed are hidden from highlights, too.
+    scene, view
+        The actual scene, and its camera's rays.
     """
-    camera, light = scene.imaging
+    _, light = scene.imaging
     assert markers.gloss is not None
-    places_px, jacobian = project_with_jacobian(markers.centres, *scene.optics)
-    seen = np.isfinite(places_px).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
+    seen = np.isfinite(job.top)
     which = np.flatnonzero(markers.present & (markers.gloss[:, 0] > 0) & seen)
     index, roughness = markers.gloss[which].T[:, :, None]
-    centres, axes = markers.centres[which], markers.axes[which]
-    lamps = Lamps.at(centres, scene)
+    centres, axes, local = markers.centres[which], markers.axes[which], job.jacobian[which]
+    leds = job.lamps[which, :, :3] * job.unit_mm + [0.0, 0.0, job.behind_mm]
+    strength = (1 - light.ambient) * job.unit_mm**2 * job.lamps[which, :, 3]
 
     # The place where the surface itself mirrors each LED; the ray to the camera moves no pixel.
-    view = np.cross(jacobian[which, 0], jacobian[which, 1])
-    view = _unit(view * np.where(view[:, 2:] < 0, -1, 1))[:, None]
-    place = np.repeat(centres[:, None], lamps.place.shape[1], axis=1)
+    to_camera = np.cross(local[:, 0], local[:, 1])
+    to_camera = _unit(to_camera * np.where(to_camera[:, 2:] < 0, -1, 1))[:, None]
+    place = centres[:, None]
     for _ in range(2):
-        towards = lamps.place - place
-        normal = _unit(_unit(towards) + view)
+        towards = leds - place
+        normal = _unit(_unit(towards) + to_camera)
         # An ellipsoid has the normal m at A A^T m / |A^T m| from its centre.
         turned = normal @ axes
         turned /= np.linalg.norm(turned, axis=2, keepdims=True)
         place = centres[:, None] + turned @ np.swapaxes(axes, 1, 2)
     distance = np.linalg.norm(towards, axis=2)
     cosine = np.sum(towards * normal, axis=2) / distance
-    free = _unhidden(markers, which, place, lamps.place, centres + 100 * view[:, 0])
+    free = _unhidden(markers, job, which, place, leds, centres + 100 * to_camera[:, 0])
     # What facets shadow and hide of each other is off (Smith), as at the middle of a highlight.
     slant = np.sqrt(1 / np.clip(cosine, 1e-3, 1) ** 2 - 1)
     mirrored = reflection(slant, 1.0, index / scene.material.refractive_index)
     open_both_ways = (2 / (1 + np.sqrt(1 + (roughness * slant) ** 2))) ** 2
-    power = np.pi / 4 * mirrored * lamps.power / (distance**2 * top) * free * open_both_ways
+    power = np.pi / 4 * mirrored * strength / distance**2 * free * open_both_ways
 
     # A pixel's light is what comes from the area that it sees.
-    local = jacobian[which]
     area = np.sqrt(np.linalg.det(local @ np.swapaxes(local, 1, 2)))
     power *= (area * np.linalg.det(axes) ** 2)[:, None]
     # Normals of facets about that place's, in rings, each standing for the same share of them.
@@ -81,76 +84,67 @@ def highlights(markers: Ellipsoids, scene: Scene, top: float) -> Singles:
     turn = 2 * np.pi / _AROUND * (np.arange(_AROUND) + _GOLDEN * rings[:, None])
     around = np.stack([np.cos(turn), np.sin(turn)], axis=2)
     one = _unit(np.cross(normal, [1.0, 0.0, 0.0]))
-    frames = np.stack([one, np.cross(normal, one), normal, towards], axis=2)
-    tints = np.broadcast_to(light.tints()[0], (3, power.shape[1]))
-    picture = np.zeros((camera.height_px, camera.width_px, 3), np.float32)
-    seen_at = (view[:, 0], axes, places_px[which], local)
-    _draw(around, roughness[:, 0], frames, power, *seen_at, tints, picture)
-    return (1 - np.float32(light.ambient)) * picture
+    frames = np.stack([one, np.cross(normal, one), normal], axis=2)
+    # What a facet's turned normal, and its cosines to the LED and the camera, have of each of them.
+    parts = np.concatenate(
+        [frames @ axes[:, None], frames @ towards[..., None], frames @ to_camera[..., None]], axis=3
+    )
+    tints = np.broadcast_to(job.tints, (3, power.shape[1]))
+    seen_at = (job.centres_px[which], local @ axes, tints, view.vignette)
+    _draw(around, roughness[:, 0], parts, power, *seen_at, picture)
 
 
 @njit(cache=True, nogil=True)
 def _draw(
     around: Floats,
     roughness: Floats,
-    frames: Floats,
+    parts: Floats,
     power: Floats,
-    view: Points,
-    axes: Floats,
     middles: Floats,
-    local: Floats,
+    mapped: Floats,
     tints: Floats,
+    vignette: Singles,
     picture: Singles,
 ) -> None:
     """Add every highlight's samples to the (height, width, 3) ``picture``, each in the pixel where
     the surface has its normal.
 
-    ``around`` (rings, samples, 2) are directions of unit length. The rows of
-    ``frames`` (n, leds, 4, 3) are two tangents, the normal and the way to the LED; ``local`` is the
-    projection's Jacobian at the markers' ``middles``.
+    ``around`` (rings, samples, 2) are directions of unit length. The rows of ``parts``
+    (n, leds, 3, 5) are of two tangents and the normal: their parts along the semi-axes, to the LED
+    and to the camera. ``mapped`` (n, 2, 3) are the semi-axes in the picture about ``middles``.
     """
     height, width, _ = picture.shape
-    facet = np.empty(3)
-    turned = np.empty(3)
+    samples = around.shape[0] * around.shape[1]
     for i, led in np.ndindex(power.shape):
         if power[i, led] <= 0:
             continue
-        frame = frames[i, led]
-        # Semi-axes in the picture.
-        mapped = local[i] @ axes[i]
-        for ring in range(len(around)):
-            q = (ring + 0.5) / len(around)
+        one, two, normal = parts[i, led]
+        for ring in range(around.shape[0]):
+            q = (ring + 0.5) / around.shape[0]
             tangent = roughness[i] * np.sqrt(q / (1 - q))
+            # Lengths count relative to the facet's part along the normal.
             cosine = 1 / np.sqrt(1 + tangent * tangent)
-            share = power[i, led] / (cosine * around[..., 0].size)
+            share = power[i, led] / (cosine**5 * samples)
             for number in range(around.shape[1]):
                 s = tangent * around[ring, number, 0]
                 t = tangent * around[ring, number, 1]
-                lit = 0.0
-                seen = 0.0
-                for c in range(3):
-                    facet[c] = cosine * (frame[2, c] + s * frame[0, c] + t * frame[1, c])
-                    lit += facet[c] * frame[3, c]
-                    seen += facet[c] * view[i, c]
+                lit = normal[3] + s * one[3] + t * two[3]
+                seen = normal[4] + s * one[4] + t * two[4]
                 if lit <= 0 or seen <= 0:
                     continue
-                square = 0.0
-                for c in range(3):
-                    turned[c] = 0.0
-                    for d in range(3):
-                        turned[c] += axes[i, d, c] * facet[d]
-                    square += turned[c] * turned[c]
+                a = normal[0] + s * one[0] + t * two[0]
+                b = normal[1] + s * one[1] + t * two[1]
+                c = normal[2] + s * one[2] + t * two[2]
+                square = a * a + b * b + c * c
                 inverse = 1 / np.sqrt(square)
-                column = middles[i, 0] + 0.5
-                row = middles[i, 1] + 0.5
-                for c in range(3):
-                    column += mapped[0, c] * turned[c] * inverse
-                    row += mapped[1, c] * turned[c] * inverse
-                x = int(np.floor(column))
-                y = int(np.floor(row))
+                column = (mapped[i, 0, 0] * a + mapped[i, 0, 1] * b + mapped[i, 0, 2] * c) * inverse
+                row = (mapped[i, 1, 0] * a + mapped[i, 1, 1] * b + mapped[i, 1, 2] * c) * inverse
+                x = int(np.floor(middles[i, 0] + column + 0.5))
+                y = int(np.floor(middles[i, 1] + row + 0.5))
                 if 0 <= x < width and 0 <= y < height:
-                    for c in range(3):
-                        picture[y, x, c] += np.float32(share / (square * square) * tints[c, led])
+                    bright = share * inverse**4 * vignette[y, x]
+                    for channel in range(3):
+                        picture[y, x, channel] += np.float32(bright * tints[channel, led])
 
 
 def _unit(vectors: Floats) -> Floats:
@@ -160,33 +154,43 @@ def _unit(vectors: Floats) -> Floats:
 
 
 def _unhidden(
-    markers: Ellipsoids, which: Ints, place: Floats, leds: Floats, camera: Points
+    markers: Ellipsoids, job: PictureJob, which: Ints, place: Floats, leds: Floats, camera: Points
 ) -> Bools:
     """Return (n, leds) whether no other marker stands between a (n, leds, 3) place on a marker of
     ``which`` and its LED, or its (n, 3) place of the camera."""
     count = leds.shape[1]
-    targets = np.zeros((len(markers), count + 1, 3))
-    targets[which] = np.concatenate([leds, camera[:, None]], axis=1)
-    wanted = np.zeros((len(markers), count + 1), bool)
-    wanted[which] = True
+    row_of = np.full(len(markers), -1)
+    row_of[which] = np.arange(len(which))
+    free = np.ones((len(which), count), bool)
+    # The LEDs' lists of the job.
+    pair = np.repeat(np.arange(len(job.occluder_first) - 1), np.diff(job.occluder_first))
+    row, led = row_of[pair // count], pair % count
+    ours = row >= 0
+    row, led, other = row[ours], led[ours], job.occluder_members[ours]
+    inverse: Floats = np.asarray(np.linalg.inv(job.axes * job.unit_mm), np.float64)
+    balls = (markers.centres, inverse)
+    hidden = _blocks(balls, other, place[row, led], leds[row, led])
+    free[row[hidden], led[hidden]] = False
+    # A list for the camera.
+    targets = np.zeros((len(markers), 1, 3))
+    targets[which, 0] = camera
+    wanted = (row_of >= 0)[:, None]
     sizes = np.linalg.norm(markers.axes, axis=(1, 2))
     first, members = occluders(markers.centres, sizes, targets, wanted)
-    free = np.ones((len(which), count), bool)
-    row_of = np.zeros(len(markers), int)
-    row_of[which] = np.arange(len(which))
-    pair = np.repeat(np.arange(len(first) - 1), np.diff(first))
-    row, column = row_of[pair // (count + 1)], pair % (count + 1)
+    row = row_of[np.repeat(np.arange(len(markers)), np.diff(first))]
     for led in range(count):
-        near = (column == led) | (column == count)
-        i, other, target = row[near], members[near], targets[which[row[near]], column[near]]
-        free[i[_blocks(markers, other, place[i, led], target)], led] = False
+        hidden = _blocks(balls, members, place[row, led], camera[row])
+        free[row[hidden], led] = False
     return free
 
 
-def _blocks(markers: Ellipsoids, others: Indices, start: Points, end: Points) -> Bools:
-    """Return whether the line between two places, (m, 3) each, meets each of (m,) markers."""
-    metric = np.linalg.inv(markers.axes[others])
-    begin = np.einsum("mij,mj->mi", metric, start - markers.centres[others])
+def _blocks(balls: tuple[Points, Floats], others: Indices, start: Points, end: Points) -> Bools:
+    """Return whether the line between two places, (m, 3) each, meets each of (m,) markers.
+
+    ``balls`` are all centres, and the matrices that make unit balls of the markers.
+    """
+    centres, metric = balls[0][others], balls[1][others]
+    begin = np.einsum("mij,mj->mi", metric, start - centres)
     way = np.einsum("mij,mj->mi", metric, end - start)
     part = np.clip(-np.sum(begin * way, axis=1) / np.sum(way**2, axis=1), 0, 1)
     return np.asarray(np.sum((begin + part[:, None] * way) ** 2, axis=1) < 1)

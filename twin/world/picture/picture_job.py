@@ -73,6 +73,9 @@ class PictureJob:
     conjugate
         (n, 2, 2) matrix C of each outline to first order, x^T C^-1 x = 1 about the projected
         centre, px^2; the unit matrix where the camera doesn't see the place.
+    jacobian
+        (n, 2, 3) the projection's Jacobian there, px/mm; of two unit rows where the camera doesn't
+        see the place.
     cut
         (n,) whether the outline may cross the picture's edge.
     subpixels
@@ -104,6 +107,7 @@ class PictureJob:
     members: Indices
     centres_px: Pixels
     conjugate: Floats
+    jacobian: Floats
     cut: Bools
     subpixels: int
     unit_mm: float
@@ -198,6 +202,7 @@ class PictureJob:
             members=members,
             centres_px=centres_px,
             conjugate=conjugate,
+            jacobian=jacobian,
             cut=cut,
             subpixels=subpixels,
             unit_mm=unit_mm,

@@ -28,7 +28,7 @@ from twin.world.picture.backend import FORCE, Variant
 from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
-from twin.world.picture.highlights import highlights
+from twin.world.picture.highlights import add_highlights
 from twin.world.picture.lamps import Lamps
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
 from twin.world.picture.picture_job import PictureJob, Shader
@@ -268,8 +268,7 @@ class Renderer:
         seen += marks * self._view.vignette.ravel().take(job.pixels)[:, None]
         there[job.pixels] = seen
         if markers.gloss is not None and self.scene.imaging[1].ambient < 1:
-            bright = highlights(markers, self.scene, self._top)
-            light += bright * self._view.vignette[:, :, None]
+            add_highlights(light, markers, job, self.scene, self._view)
         self._add_specks(light, markers, cover)
         if self._view.veil is not None:
             light += self._view.veil
