@@ -123,6 +123,10 @@ RESHAPES = 1.25
 """A marker has an outline and blur of its own if what that fit leaves exceeds the usual by less. Of
 markers 10 px wide of which a fiftieth is hidden one in 40 leaves less, with more hidden none."""
 
+SHARPER = 0.7
+"""Least share of the blur at rest that a shape of its own has where the rest picture is compressed.
+"""
+
 STRETCHED, BLURRED = 1.4, 2.5
 """Largest growth of a marker's semi-axis, and of the blur, that a shape of its own reaches to."""
 
@@ -189,6 +193,14 @@ MORE_UNUSUAL = 1.12
 """Largest factor by which residuals are usual where most markers have changed their shape: larger
 outlines reach over more of the ground's texture."""
 
+ROUGHER = 1.6
+"""Squared residuals of most markers, over the usual ones, beyond which noise that the rest picture
+has not hangs together over pixels."""
+
+SINCE = 1.35
+"""Errors where a picture is compressed and the rest picture is not, over those that the third
+harmonics show, as outlines at rest are sharper. Measured: 1.1 to 1.8."""
+
 LEAST_COHERENCE, SURE = 0.8, 50
 """How many times less than from single pixels' noise errors may be, and from how many markers'
 edges that is taken."""
@@ -210,10 +222,13 @@ class DiscFit(SoftWindow):
     templates, start_px
         What is fitted, and (n, 2) where the fits start at rest, px. Those in other pictures start
         as far from their expected places, so that the rest picture itself shows no motion at all.
+    rougher
+        Whether this is for a picture whose noise hangs together over pixels, unlike at rest.
     """
 
     templates: Templates
     start_px: Pixels
+    rougher: bool = False
 
     @classmethod
     def at_rest(
@@ -287,8 +302,24 @@ class DiscFit(SoftWindow):
         spot = self.around.complete(blobs.centre_px, spot, blobs.cut)
         moved = (blobs.centre_px[spot] if len(blobs) else np.nan) - self.spot_px
         place = np.where((spot >= 0)[:, None], self.start_px + moved, np.nan)
-        fitted = self._fit(picture, place, self.around.lead)
-        return replace(self._judged(fitted, state), spurious_px=spurious)
+        suited, fitted = self._suited(picture, place)
+        return replace(suited._judged(fitted, state), spurious_px=spurious)
+
+    def _suited(self, picture: Picture, start_px: Pixels) -> tuple[DiscFit, Floats]:
+        """Return the fits of all markers, and what judges them: by what is usual in this picture
+        where most of them leave more than noise and shapes of their own explain, as where it is
+        compressed and the rest picture is not."""
+        templates, lead = self.templates, self.around.lead
+        fitted = self._fit(picture, start_px, lead)
+        if templates.coherent or np.count_nonzero(fitted[:, DOUBTED] > 0.0) < 2 * LEAST_SCORES:
+            return self, fitted  # nearly always
+        if not _quantiles(fitted[:, MISFIT], 0.5)[0] > ROUGHER * templates.usual_misfit:
+            return self, fitted
+        usual, rest = _quantiles(fitted[:, MISFIT], USUAL)[0], templates.rest.copy()
+        rest[:, FITTING] *= min(_quantiles(fitted[:, FITTING] / rest[:, FITTING], 0.5)[0], 1.0)
+        now = replace(templates, coherent=True, usual_misfit=usual, rest=rest)
+        suited = replace(self, templates=now, rougher=True)
+        return suited, suited._fit(picture, start_px, lead)
 
     def _fit(self, picture: Picture, start_px: Pixels, lead: Ints | None = None) -> Floats:
         """Return (n, `COLUMNS`) fits of all markers, also of those that don't look as at rest."""
@@ -386,6 +417,8 @@ class DiscFit(SoftWindow):
         misfit = np.fmin(fitted[:, MISFIT], again[:, MISFIT])
         # Sizes stay relative to the shape at rest.
         taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
+        if templates.coherent:  # errors at rest show less by a sharper outline than they are
+            taken &= shape[:, 6] > SHARPER * known[:, 6]
         area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, known))
         fitted[taken] = again[taken]
         fitted[taken, SCALE] *= np.sqrt(area / before)[taken]
@@ -570,7 +603,8 @@ class DiscFit(SoftWindow):
         if not count or np.isfinite(start[:, 0]).sum() < (1.0 - TRUST) * count:
             return None
         nothing = np.full(len(known), MISSING, np.uint8)
-        seen = self._judged(self._fit(picture, start, self.around.lead), nothing)
+        suited, fitted = self._suited(picture, start)
+        seen = suited._judged(fitted, nothing)
         shift, sd, state = seen.shift_px, seen.sd_px, seen.state
         expected, certain = self.around.predict(shift)
         with np.errstate(invalid="ignore"):
@@ -580,7 +614,7 @@ class DiscFit(SoftWindow):
             shift[astray & certain] = np.nan
             start = np.full_like(known, np.nan)
             start[again] = self.start_px[again] + expected[again]
-            second = self._judged(self._fit(picture, start), nothing)
+            second = suited._judged(suited._fit(picture, start), nothing)
             rows = again[np.hypot(*(second.shift_px[again] - expected[again]).T) < gate]
             kept = np.isfinite(shift[:, 0])
             if kept.any() and len(rows):
@@ -598,6 +632,9 @@ class DiscFit(SoftWindow):
     def _judged(self, fitted: Floats, state: NDArray[np.uint8]) -> Seen:
         """Return the motion by the accepted fits, and the states of the others."""
         templates, rest_sd = self.templates, self.sd_px
+        if self.rougher:  # parts are measured by an edge that is blurred since
+            part = fitted[:, RESHAPED] == PART_IN_SIGHT
+            fitted[part, SHORTFALL], fitted[part, FITTING] = 1.0, 0.0
         shift, state = np.empty((len(fitted), 2)), state.copy()
         _judge(
             fitted,
@@ -621,7 +658,8 @@ class DiscFit(SoftWindow):
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
         cut = self._unseen_cut(fitted, sd, factor)
         sd = np.sqrt(_edge_sds(fitted, templates, rest_sd, sd, factor) ** 2 + cut)
-        return Seen(shift_px=shift, sd_px=sd, state=state, coherence=factor)
+        since = SINCE if self.rougher else 1.0
+        return Seen(shift_px=shift, sd_px=since * sd, state=state, coherence=since * factor)
 
     def _unseen_cut(self, fitted: Floats, sd: Floats, factor: float) -> Floats:
         """Return (n,) the variance of shifts, per axis, px^2, of a cut that looks like less size.
