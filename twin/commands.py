@@ -154,15 +154,9 @@ def _progress() -> Progress | None:
 
 def _load(scene: str, overrides: Sequence[str]) -> Scene:
     """Return a scene with ``key.path=value`` overrides."""
-    from twin.study.recipe import load_scene
+    from twin.study.recipe import load_scene, parse_overrides
 
-    return load_scene(scene, _parsed(overrides))
-
-
-def _parsed(overrides: Sequence[str]) -> dict[str, Any]:
-    from twin.study.recipe import parse_override
-
-    return dict(parse_override(text) for text in overrides)
+    return load_scene(scene, parse_overrides(overrides))
 
 
 @contextmanager
@@ -392,12 +386,12 @@ def _live(
     scene: str, out: Path | None, want: Sequence[str], port: int, set_: Sequence[str]
 ) -> None:
     from twin.study.live import QUICK, run_live
-    from twin.study.recipe import load_scene
+    from twin.study.recipe import load_scene, parse_overrides
 
     if out is not None or want:
         raise InputError("--live writes nothing and shows all there is: leave out --out and --want")
     with _scene_named(scene):
-        run_live(load_scene(scene, QUICK | _parsed(set_)), port, _progress())
+        run_live(load_scene(scene, QUICK | parse_overrides(set_)), port, _progress())
 
 
 def _wanted(names: Sequence[str]) -> frozenset[str]:
@@ -596,9 +590,10 @@ def check(
             print("\n".join(photon_transfer(loaded.ccd).lines(loaded.ccd)))
         return
     from twin.study.check import check_path
+    from twin.study.recipe import parse_overrides
 
     with _scene_named(file):
-        print("\n".join(check_path(file, _parsed(set_))))
+        print("\n".join(check_path(file, parse_overrides(set_))))
 
 
 def doctor(*, json_: Json = False) -> None:
@@ -1039,9 +1034,10 @@ def sweep(
     twin sweep my_sweep.toml --workers 8
     twin sweep sweep_kamiyama_depth_pitch --optimise
     """
+    from twin.study.recipe import parse_overrides
     from twin.study.sweep.designs import load_sweep
 
-    wanted, scene = load_sweep(sweep, _parsed(set_))
+    wanted, scene = load_sweep(sweep, parse_overrides(set_))
     workers, cluster = batch.workers_and_scheduler()
     if batch.dry_run:
         from twin.study.sweep.sweep_run import estimate

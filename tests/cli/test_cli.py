@@ -90,6 +90,15 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["run", "block_bare", "--ouut", "x"], ["--ouut", "--out"]),
         (["run", "block_bare", "--want", "dispalcement"], ["did you mean 'displacement'"]),
         (["run", "block_bare", "--want", "picture"], ["[camera]"]),
+        (
+            ["run", "kamiyama_pillar", "-s", "press.force_n.z=1", "-s", "press.steps=[]"],
+            ["press.force_n and press.steps are given together", "leave the others out"],
+        ),
+        (["check", "kamiyama_pillar", "-s", "seed=1", "-s", "seed=2"], ["seed is given twice, as 1 and 2"]),
+        (
+            ["run", "kamiyama_pillar", "-s", "press.force_n.z=1", "-s", "press.force_n={x=1}"],
+            ["-s press.force_n comes after -s press.force_n.z and replaces it: put it first"],
+        ),
         (["run", "block_bare", "-s", "material.poisson_ratio=0.7"], ["poisson_ratio", "0.7", "-0.5 to 0.5"]),
         (["run", "kamiyama_pillar", "-s", "markers.red.depth_mm=39.9"], ["markers.red", "outside the body"]),
         (["run", "kamiyama_pillar", "-s", "seed"], ["key.path=value"]),

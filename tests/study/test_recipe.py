@@ -15,7 +15,7 @@ from standard_bodies import REFERENCE, write_stl
 
 from twin.errors import InputError, RecipeError
 from twin.study.check import check_path
-from twin.study.recipe import dump_scene, load_scene, parse_override, shipped_scenes, validate_scene
+from twin.study.recipe import dump_scene, load_scene, parse_overrides, shipped_scenes, validate_scene
 from twin.study.schema import SCHEMA_FILE
 
 SCENES = sorted(shipped_scenes())
@@ -187,7 +187,7 @@ def test_broken_toml_is_a_recipe_error(tmp_path: Path, text: str) -> None:
     ],
 )
 def test_overrides_are_toml_or_bare_strings(text: str, expected: tuple[str, object]) -> None:
-    assert parse_override(text) == expected
+    assert parse_overrides([text]) == dict([expected])
 
 
 def test_a_body_in_place_of_the_base_s_recipe_must_bring_its_material(tmp_path):

@@ -154,6 +154,16 @@ def _override(table: Table, dotted: str, value: Any) -> None:
         here["assumed"] = {**(here.get("assumed") or {}), last: "override"}
 
 
+def paths_given(overrides: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return the keys among overrides that give the press its path, by the way in which they do."""
+    found: dict[str, list[str]] = {}
+    for key, value in overrides.items():
+        way = ".".join(key.split(".")[:2])
+        if value is not None and way in {f"press.{each}" for each in ALTERNATIVES}:
+            found.setdefault(way, []).append(key)
+    return found
+
+
 def _table_at(table: Table, names: list[str], dotted: str) -> Table:
     """Return the table at ``names``, made or copied on the way."""
     here = table
@@ -165,19 +175,30 @@ def _table_at(table: Table, names: list[str], dotted: str) -> Table:
     return here
 
 
-def parse_override(text: str) -> tuple[str, Any]:
-    """Split ``key.path=value``, or raise `InputError`; the value is TOML, or a bare string."""
-    key, equals, value = text.partition("=")
-    if not equals or not key.strip():
-        raise InputError(
-            f"-s {text}: write key.path=value, for example -s material.poisson_ratio=0.49"
-        )
-    try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
-        return key.strip(), value.strip()
-    except ValueError as problem:
-        raise InputError(f"-s {key}: {problem}") from None
+def parse_overrides(texts: Sequence[str]) -> Table:
+    """Return the values of ``key.path=value`` by key, in their order; a value is TOML, or a bare
+    string. `InputError` where one can't be read, or would silently replace another."""
+    found: Table = {}
+    for text in texts:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not key:
+            raise InputError(
+                f"-s {text}: write key.path=value, for example -s material.poisson_ratio=0.49"
+            )
+        try:
+            given = tomllib.loads(f"value = {value}")["value"]
+        except (tomllib.TOMLDecodeError, RecursionError):
+            given = value
+        except ValueError as problem:
+            raise InputError(f"-s {key}: {problem}") from None
+        if key in found and given != found[key]:
+            both = f"{found[key]!r} and {given!r}"
+            raise InputError(f"{key} is given twice, as {both}: leave one out")
+        for before in found:
+            if before.startswith(f"{key}."):
+                raise InputError(f"-s {key} comes after -s {before} and replaces it: put it first")
+        found[key] = given
+    return found
 
 
 def _find_files(table: Table, path: Path, folders: Sequence[Path]) -> None:
@@ -283,6 +304,11 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
     )
     for key in overrides or {}:
         require(key, str, "an override's key", "write it with dots, such as material.poisson_ratio")
+    if len(ways := paths_given(overrides or {})) > 1:
+        raise InputError(
+            f"overrides: {' and '.join(ways)} are given together, and a press has one path: leave "
+            "the others out"
+        )
     path = find_scene(scene)
     try:
         return _resolved(path, overrides or {})

@@ -23,7 +23,7 @@ from twin.parts.scene import Scene
 from twin.parts.sweep import Range, Sweep, Values
 from twin.streams import Purpose, stream
 from twin.study.batch.draw import Table, look_up, plain_table, put
-from twin.study.recipe import find_scene, load_scene, read_recipe, validate_scene
+from twin.study.recipe import find_scene, load_scene, paths_given, read_recipe, validate_scene
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,11 @@ def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     """
     path = find_scene(name, "sweep")
     sweep = _sweep_of(read_recipe(path), str(path))
-    sweep = sweep.model_copy(update={"set": {**sweep.set, **(overrides or {})}})
+    below = sweep.set
+    if overrides and paths_given(overrides):
+        replaced = {key for keys in paths_given(below).values() for key in keys}
+        below = {key: value for key, value in below.items() if key not in replaced}
+    sweep = sweep.model_copy(update={"set": {**below, **(overrides or {})}})
     near = path.parent / sweep.scene
     base = near if near.is_file() else sweep.scene
     try:
