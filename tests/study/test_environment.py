@@ -6,6 +6,7 @@ import pytest
 import twin
 from twin.errors import ContactError, InputError, RecipeError, TwinError
 from twin.parts.body import Body
+from twin.world.contact.pressing import PathMemory
 from twin.world.elasticity.cache import REMEMBERED
 from twin.world.elasticity.discretise import tile
 
@@ -162,3 +163,66 @@ def test_a_step_moves_the_probe_of_the_press_before_on(environment: twin.Environ
     environment.step(None)
     with pytest.raises(InputError, match="follows a press"):
         environment.step(aside[0])
+
+
+BALL = twin.Sphere(diameter_mm=6)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "press", "steps"),
+    [
+        (
+            {},
+            {"friction": 0.4, "steps": [twin.Step(move_mm={"z": 0.3})]},
+            [
+                {"move_mm": {"x": 0.1}},
+                {"move_mm": {"x": -0.05, "z": -0.1}},
+                {"force_n": {"z": 0}},
+                {"move_mm": {"z": 0.1}},
+            ],
+        ),
+        (
+            {"material.relaxation": [{"share": 0.2, "time_s": 0.5}]},
+            {"friction": 0.4, "steps": [twin.Step(move_mm={"z": 0.3}, seconds=0.2)]},
+            [{"seconds": 0.5}, {"move_mm": {"x": 0.1}, "seconds": 0.1}, {"move_mm": {"z": -0.2}, "seconds": 0.3}],
+        ),
+        (
+            {"material.law": "neo_hookean"},
+            {"steps": [twin.Step(force_n={"z": 0.8})]},
+            [{"force_n": {"z": 1.0}}, {"force_n": {"z": 0.5}}],
+        ),
+    ],
+)
+def test_a_path_that_goes_on_is_solved_from_where_it_ended(
+    overrides: dict[str, object], press: dict[str, object], steps: list[dict[str, object]]
+) -> None:
+    sensor = twin.Sensor(twin.load_scene("kamiyama_pillar", QUICK | overrides))
+    points = sensor.actual.markers.points
+    memory = PathMemory()
+    path = twin.Press(probe=BALL, **press)
+    before = sensor.press(path, memory)
+    for step in steps:
+        path = path.model_copy(update={"steps": (*path.steps, twin.Step(**step))})
+        state = sensor.press(path, memory)
+        whole = sensor.press(path)
+        assert state.force_n == pytest.approx(whole.force_n, rel=1e-9, abs=1e-12)
+        assert state.dissipated_nmm == pytest.approx(whole.dissipated_nmm, rel=1e-9, abs=1e-12)
+        assert len(state.path) == len(whole.path)
+        if state.load.terms:
+            moved, known = sensor.displacement(points, state.load), sensor.displacement(points, whole.load)
+            assert moved == pytest.approx(known, abs=1e-9 * np.abs(known).max())
+        assert all(one is other for one, other in zip(before.path, state.path, strict=False)), "not solved again"
+        before = state
+
+
+def test_a_contact_that_outgrows_its_grid_is_solved_again_as_a_whole() -> None:
+    sensor = twin.Sensor(twin.load_scene("kamiyama_pillar", QUICK))
+    memory = PathMemory()
+    path = twin.Press(probe=BALL, friction=0.4, steps=[twin.Step(move_mm={"z": 0.1})])
+    before = sensor.press(path, memory)
+    path = path.model_copy(update={"steps": (*path.steps, twin.Step(move_mm={"z": 0.3}))})
+    state, whole = sensor.press(path, memory), sensor.press(path)
+    assert state.force_n == pytest.approx(whole.force_n, rel=1e-9)
+    assert len(state.path[0].pressure_mpa) != len(before.pressure_mpa), "other patches, from the first step on"
+    other = path.model_copy(update={"at_mm": (2.0, 0.0)})
+    assert sensor.press(other, memory).force_n == pytest.approx(sensor.press(other).force_n, rel=1e-12)

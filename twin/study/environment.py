@@ -25,6 +25,7 @@ from twin.parts.press import Press, Step
 from twin.parts.scene import Scene
 from twin.study.sensor import Sensor
 from twin.theory.relaxation import Hereditary
+from twin.world.contact.pressing import PathMemory
 
 if TYPE_CHECKING:
     from twin.sense.calibration import Calibration
@@ -144,6 +145,7 @@ class Environment:
         self._last: Press | None = None  # at once or in time, which a step follows
         self._made: tuple[Calibration, Tracker] | None = None
         self._history: Hereditary | None = None
+        self._memory = PathMemory()
 
     def reset(self) -> Observation:
         """Begin again at rest: exposures count from 1. Returns what the sensor feels under no
@@ -161,8 +163,9 @@ class Environment:
         ----------
         load
             The load that is reached, or a press, or a step that follows those of the press before.
-            With seconds, a press's steps do so, too. What is followed is solved again from its
-            beginning.
+            With seconds, a press's steps do so, too. What is followed is solved again only where
+            the contact outgrows its grid of patches, as under a probe that slides further and
+            further, and at finite strain with friction.
         seconds
             Time in which the load changes linearly from the one before, or which the steps of the
             press share evenly; what came since the last without seconds, or `reset`, counts. None
@@ -193,7 +196,7 @@ class Environment:
             load = self._crept(load or Load(), seconds)
         state = None
         if isinstance(load, Press):
-            state = self.sensor.press(load)
+            state = self.sensor.press(load, self._memory)
             if not state.complete:
                 raise ContactError(f"press: {state.reason}")
             self._last = load

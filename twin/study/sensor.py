@@ -29,7 +29,7 @@ from twin.theory.relaxation import Relaxation
 
 if TYPE_CHECKING:
     from twin.world.contact.contact_state import PressError, Validity
-    from twin.world.contact.pressing import ContactState
+    from twin.world.contact.pressing import ContactState, PathMemory
     from twin.world.elasticity.coated import CoveredCompliance, Ladder
     from twin.world.elasticity.compliance import Compliance
     from twin.world.elasticity.rigid_beads import StiffBeads
@@ -495,8 +495,15 @@ class Sensor:
         }
 
     @one_blas_thread()
-    def press(self, press: Press | None = None) -> ContactState:
+    def press(self, press: Press | None = None, memory: PathMemory | None = None) -> ContactState:
         """Solve a press; the scene's own if none is given.
+
+        Parameters
+        ----------
+        press
+            The press.
+        memory
+            Of the presses before, where this one may go on from the last of them.
 
         Returns
         -------
@@ -531,7 +538,7 @@ class Sensor:
                 "leave it out, or set material.law = linear"
             )
 
-        def linear(one: Press) -> ContactState:
+        def linear(one: Press, memory: PathMemory | None = None) -> ContactState:
             return solve(
                 one,
                 actual.scene.body,
@@ -548,6 +555,7 @@ class Sensor:
                     judge=self._warn_if_press_inaccurate,
                 ),
                 relaxation=self.relaxation,
+                memory=memory,
             )
 
         def corrected(state: ContactState) -> ContactState:
@@ -563,11 +571,12 @@ class Sensor:
                 points,
                 self._warn_if_press_inaccurate,
                 linear,
+                memory,
             )
 
         # Solve the contact by linear theory, then correct it for finite strain.
         try:
-            state = linear(wanted)
+            state = linear(wanted, memory)
         except ContactError as problem:
             if isinstance(problem.last_state, ContactState):
                 problem.last_state = corrected(problem.last_state)

@@ -42,7 +42,7 @@ from twin.study.calibrate import calibrate_by_presses, calibration_of, half_spac
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
 from twin.theory.optics import project_with_jacobian
-from twin.world.contact.pressing import ContactState
+from twin.world.contact.pressing import ContactState, PathMemory
 
 if TYPE_CHECKING:
     from twin.sense.reference import Rest
@@ -503,11 +503,11 @@ class _KeptSensor(Sensor):
         """The actual body's levels of mesh."""
         return self._bench.once(("ladder", self._body), lambda: super(_KeptSensor, self).ladder)
 
-    def press(self, press: Press | None = None) -> ContactState:
+    def press(self, press: Press | None = None, memory: PathMemory | None = None) -> ContactState:
         """Solve a press once."""
         assert press is not None
         solve = super().press
-        return self._once("press", press.model_dump_json(), lambda: solve(press))
+        return self._once("press", press.model_dump_json(), lambda: solve(press, memory))
 
     def motion(self, load: Load) -> Motion:
         """Return how the actual markers move under a load, which is kept so that its id is."""

@@ -32,6 +32,7 @@ from twin.world.contact.contact_state import (
     Share,
     Validity,
 )
+from twin.world.contact.pressing import PathMemory
 from twin.world.contact.probe_gap import Approach, Z
 from twin.world.contact.round_slab import FiniteStrain, SlabStrain
 
@@ -115,6 +116,7 @@ def at_finite_strain(
     watched: Points,
     judge: Callable[[PressError], None],
     solve: Callable[[Press], ContactState],
+    memory: PathMemory | None = None,
 ) -> ContactState:
     """Return the state of a press, and of every step of its path, with what linear theory leaves
     out.
@@ -122,15 +124,17 @@ def at_finite_strain(
     Loads and the pressures of patches stay those of the linear solution, on the undeformed surface;
     `Load.strained` is the difference. ``judge`` is called with every estimated error; ``solve``
     returns the linear solution of another press; the others are those of `SlabStrain`, with what
-    it raises, and `BodyStrain`. A ContactError has the state before the step that fails.
+    it raises, and `BodyStrain`. A ContactError has the state before the step that fails. States
+    without friction that a ``memory`` has are not solved again.
     """
     axes = Approach.of_press(press, body).axes
     controls = press.in_own_axes(axes)
     path: list[ContactState] = []
     more: FiniteStrain | None = None
+    known = {} if memory is None else {id(linear): found for linear, found in memory.strained}
     for one, (by_force, _) in zip(state.path, controls, strict=False):
-        if not one.load.terms:
-            path.append(one)
+        if not one.load.terms or id(one) in known:
+            path.append(known.get(id(one), one))
             continue
         before = more if press.friction > 0.0 else None
         try:
@@ -148,6 +152,8 @@ def at_finite_strain(
                 problem.last_state = last
             raise
         path.append(_strained(found, one, material.law, judge))
+        if memory is not None and not press.friction:
+            memory.strained.append((one, path[-1]))
     return replace(path[-1], path=tuple(path), complete=state.complete, reason=state.reason)
 
 

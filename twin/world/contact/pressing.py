@@ -11,7 +11,7 @@ surface. Every state has a measure of how far it strains that.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate, zip_longest
 
@@ -166,58 +166,58 @@ _SLIDE_WIDTHS = 8.0
 """How far a round probe may slide, over its contact's width: one grid holds its whole path."""
 
 
-def _largest_contact(
-    programme: LoadProgramme, number: int, plane: Plane, touch_z: float
-) -> tuple[Plane, Box]:
-    """Return the plane of one probe's grid, along its first contact, and the box that holds its
-    contact of every step, pressed without friction where it slides to.
+@dataclass(frozen=True, kw_only=True)
+class _Reach:
+    """How far one probe's contact reached by a step: the plane of its grid, along its first
+    contact, the box (none yet: None), the place (6,), and the way sideways (2,)."""
 
-    A probe with friction on a slope carries part of a force along z by friction: its normal force
-    is F n_z, for which a frictionless one that is held sideways needs F n_z^2 along z.
-    """
-    setup = programme.setups[number]
-    friction = float(programme.friction[number])
-    pose = np.zeros(MOTIONS)
-    whole = None
-    sideways = np.zeros(2)
-    along_z = np.arange(MOTIONS) == Z
-    upright = float(plane.axes[2] @ setup.first.axes[2])
-    for step, following in zip_longest(programme.steps, programme.steps[1:]):
-        if following is not None and _outdone(step.of_probe(number), following.of_probe(number)):
-            continue
-        control = _counted_from(step.of_probe(number), pose)
-        if whole is not None and _only_leaves(step, number):
-            pose = control.given
-            continue
-        sideways += np.where(control.by_force, 0.0, step.of_probe(number).given)[:Z]
+    plane: Plane
+    touch_z: float
+    box: Box | None = None
+    pose: Floats = field(default_factory=lambda: np.zeros(MOTIONS))
+    sideways: Floats = field(default_factory=lambda: np.zeros(2))
+
+    def after(
+        self, programme: LoadProgramme, number: int, step: Control, following: Control | None
+    ) -> _Reach:
+        """Return it after a step, pressed without friction where the probe slides to.
+
+        A probe with friction on a slope carries part of a force along z by friction: its normal
+        force is F n_z, for which a frictionless one that is held sideways needs F n_z^2 along z.
+        """
+        setup = programme.setups[number]
+        own = step.of_probe(number)
+        if following is not None and _outdone(own, following.of_probe(number)):
+            return self
+        control = _counted_from(own, self.pose)
+        if self.box is not None and _only_leaves(step, number):
+            return replace(self, pose=control.given)
+        sideways = self.sideways + np.where(control.by_force, 0.0, own.given)[:Z]
         push = control.given[Z]
         if control.by_force[Z]:
-            push *= upright**2
+            push *= float(self.plane.axes[2] @ setup.first.axes[2]) ** 2
             if programme.relaxation is not None:
                 push *= programme.relaxation.creep(step.time_s)
         turned = np.where(control.by_force, 0.0, control.given) * np.isin(
             np.arange(MOTIONS), (ABOUT_X, ABOUT_Y)
         )
+        along_z = np.arange(MOTIONS) == Z
         still = Control(by_force=control.by_force & along_z, given=np.where(along_z, push, turned))
-        if _is_lifted(still, touch_z):
-            pose = _lifted_place(still, pose, touch_z)
-            continue
-        disc = closed_form_contact(setup, still, pose, plane, touch_z)
+        if _is_lifted(still, self.touch_z):
+            pose = _lifted_place(still, self.pose, self.touch_z)
+            return replace(self, pose=pose, sideways=sideways)
+        disc = closed_form_contact(setup, still, self.pose, self.plane, self.touch_z)
         plane, contact, pose = (
-            (plane, *disc)
+            (self.plane, *disc)
             if disc
-            else find_contact(setup, still, pose, plane, touch_z, may_turn=whole is None)
+            else find_contact(
+                setup, still, self.pose, self.plane, self.touch_z, may_turn=self.box is None
+            )
         )
-        grip_mm = friction * (float(pose[Z]) - touch_z)
+        grip_mm = float(programme.friction[number]) * (float(pose[Z]) - self.touch_z)
         contact = contact.joined(_slid(setup, contact, sideways, grip_mm, plane))
-        whole = contact if whole is None else whole.joined(contact)
-    if whole is None:
-        raise ContactError(
-            "contact: the probe touches no patch, as its push is too small to be distinguished "
-            "from rounding; press further (press.indentation_mm, or force_n or move_mm of the "
-            "steps)"
-        )
-    return plane, whole
+        box = contact if self.box is None else self.box.joined(contact)
+        return replace(self, plane=plane, box=box, pose=pose, sideways=sideways)
 
 
 def _only_leaves(step: Control, number: int) -> bool:
@@ -267,53 +267,148 @@ def _slid(setup: ProbeSetup, contact: Box, sideways: Floats, grip_mm: float, pla
     )
 
 
-def _frictional_path(programme: LoadProgramme, increments: int) -> tuple[list[ContactState], str]:
+@dataclass
+class _OnGrid:
+    """A path on one grid of patches: what they remember at its end, the states, which patches were
+    ever in contact, and why it stopped before its end, if it did."""
+
+    boxes: list[tuple[Plane, Box]]
+    grid: FrictionalContact
+    history: ContactHistory
+    path: list[ContactState]
+    reached: Bools
+    reason: str = ""
+
+    def take(self, programme: LoadProgramme, increments: int) -> None:
+        """Take the steps that follow those taken."""
+        for count in range(len(self.path) + 1, len(programme.steps) + 1):
+            step = programme.steps[count - 1]
+            try:
+                history, state, touched, stopped = _frictional_step(
+                    self.grid, programme, self.history, count, step, increments
+                )
+            except NotSettled as unsettled:
+                if not self.path:
+                    raise
+                self.reason = _stopped_at(count, programme, str(unsettled))
+                return
+            except ContactError as refused:
+                _attach_last_state(refused, self.path, count, programme)
+                raise
+            self.history = history
+            self.reached |= touched
+            self.path.append(state)
+            if stopped:
+                self.reason = _stopped_at(count, programme, stopped)
+                return
+
+
+class PathMemory:
+    """What `press` keeps of a path that came to its end, so that a longer one goes on from there.
+
+    Only a path that begins with all those steps, of the same probe at the same place, goes on;
+    anything else starts from rest. Results are those of the whole path: where a step makes the
+    contact outgrow its grid, the path is taken again on another one. One memory serves one body
+    and one accuracy.
+
+    Attributes
+    ----------
+    states
+        The states at the ends of the steps taken.
+    strained
+        Those of them that are known at finite strain, by the state they were made of.
+    """
+
+    def __init__(self) -> None:
+        self._forget()
+
+    def _forget(self) -> None:
+        self._press: Press | None = None
+        self._in_time = False
+        self.states: list[ContactState] = []
+        self.strained: list[tuple[ContactState, ContactState]] = []
+        self.reaches: list[_Reach] = []  # of every probe before the last step
+        self.tried: list[_OnGrid] = []  # with friction or in time: the last one held the contact
+        self.pose: Floats | None = None  # without friction
+
+    def begin(self, press: Press, in_time: bool) -> None:
+        """Keep only what another press goes on from."""
+        known = self._press
+        goes_on = (
+            known is not None
+            and self._in_time == in_time
+            and press.path[: len(known.path)] == known.path
+            and press.model_copy(update={"steps": known.steps}) == known
+        )
+        if not goes_on:
+            self._forget()
+
+    def end(self, press: Press, in_time: bool, states: list[ContactState]) -> None:
+        """Keep a path that came to its end."""
+        self._press = press
+        self._in_time = in_time
+        self.states = states
+        self.strained = [pair for pair in self.strained if any(pair[0] is one for one in states)]
+        for one in self.tried[-1:]:
+            one.path = list(states)
+
+
+def _frictional_path(
+    programme: LoadProgramme, increments: int, memory: PathMemory
+) -> tuple[list[ContactState], str]:
     """Take the whole path, with friction or in time, on one grid; return the states, and why it
     stopped before its end, if it did."""
-    planes = []
-    boxes = []
-    for number, setup in enumerate(programme.setups):
-        plane, touch_z = setup.first_touch(np.zeros(MOTIONS))
-        plane, box = _largest_contact(programme, number, plane, touch_z)
-        planes.append(plane)
-        boxes.append(box)
-    for _ in range(TRIES):
-        contacts = ContactProblem(programme.setups, fitted_grids(programme.setups, planes, boxes))
-        states, reached, reason = _path_on_grid(
-            FrictionalContact(contacts, programme.effective_friction, programme.relaxation),
-            programme,
-            increments,
+    # Where the probes reach, and the grid for that.
+    known = len(memory.states)
+    reaches = memory.reaches or [
+        _Reach(plane=plane, touch_z=touch_z)
+        for plane, touch_z in (s.first_touch(np.zeros(MOTIONS)) for s in programme.setups)
+    ]
+    steps = [*zip_longest(programme.steps, programme.steps[1:])][max(known - 1, 0) :]
+    before = reaches
+    for pair in steps:
+        before = reaches
+        reaches = [one.after(programme, number, *pair) for number, one in enumerate(reaches)]
+    planes = [one.plane for one in reaches]
+    boxes = [one.box for one in reaches if one.box is not None]
+    if len(boxes) < len(reaches):
+        raise ContactError(
+            "contact: the probe touches no patch, as its push is too small to be distinguished "
+            "from rounding; press further (press.indentation_mm, or force_n or move_mm of the "
+            "steps)"
         )
-        if not _outgrown(boxes, contacts, reached):
-            return states, reason
+    # The path on that grid, or on one that is made larger until it holds the contact.
+    tried: list[_OnGrid] = []
+    for number in range(TRIES):
+        places = list(zip(planes, boxes, strict=True))
+        one = next((one for one in memory.tried[number : number + 1] if _same(one, places)), None)
+        if one is None:
+            contacts = ContactProblem(
+                programme.setups, fitted_grids(programme.setups, planes, boxes)
+            )
+            grid = FrictionalContact(contacts, programme.effective_friction, programme.relaxation)
+            nothing = np.zeros(len(grid.patches), bool)
+            one = _OnGrid(places, grid, grid.at_first_touch(), [], nothing)
+        else:
+            one = replace(one, path=list(one.path), reached=one.reached.copy())
+        one.take(programme, increments)
+        tried.append(one)
+        if not _outgrown(boxes, one.grid.contacts, one.reached):
+            if not one.reason:
+                memory.reaches = before
+                memory.tried = tried
+            return one.path, one.reason
     raise _grid_error(programme.setups[0], boxes[0])
 
 
-def _path_on_grid(
-    grid: FrictionalContact, programme: LoadProgramme, increments: int
-) -> tuple[list[ContactState], Bools, str]:
-    """Take the whole path on given patches; return the states, which patches were ever in contact,
-    and why it stopped before its end, if it did."""
-    history = grid.at_first_touch()
-    path: list[ContactState] = []
-    reached = np.zeros(len(grid.patches), bool)
-    for count, step in enumerate(programme.steps, start=1):
-        try:
-            history, state, touched, stopped = _frictional_step(
-                grid, programme, history, count, step, increments
-            )
-        except NotSettled as unsettled:
-            if not path:
-                raise
-            return path, reached, _stopped_at(count, programme, str(unsettled))
-        except ContactError as refused:
-            _attach_last_state(refused, path, count, programme)
-            raise
-        reached |= touched
-        path.append(state)
-        if stopped:
-            return path, reached, _stopped_at(count, programme, stopped)
-    return path, reached, ""
+def _same(one: _OnGrid, places: list[tuple[Plane, Box]]) -> bool:
+    """Return whether a path was taken to its end on the grid for planes and boxes."""
+    return not one.reason and all(
+        old[1] == new[1]
+        and np.array_equal(old[0].origin_mm, new[0].origin_mm)
+        and np.array_equal(old[0].axes, new[0].axes)
+        for old, new in zip(one.boxes, places, strict=True)
+    )
 
 
 def _frictional_step(
@@ -442,11 +537,14 @@ def _refuse_drag(grid: FrictionalContact, control: Control, count: int) -> None:
             )
 
 
-def _frictionless_path(programme: LoadProgramme) -> tuple[list[ContactState], str]:
+def _frictionless_path(
+    programme: LoadProgramme, memory: PathMemory
+) -> tuple[list[ContactState], str]:
     """Take the whole path; return the states, and why it stopped before its end, if it did."""
-    pose = np.zeros(MOTIONS * len(programme.setups))
-    path = list[ContactState]()
-    for count, step in enumerate(programme.steps, start=1):
+    path = list(memory.states)
+    pose = np.zeros(MOTIONS * len(programme.setups)) if memory.pose is None else memory.pose
+    for count in range(len(path) + 1, len(programme.steps) + 1):
+        step = programme.steps[count - 1]
         try:
             state, pose = _frictionless_step(programme, _counted_from(step, pose), pose)
         except NotSettled as stopped:
@@ -457,6 +555,7 @@ def _frictionless_path(programme: LoadProgramme) -> tuple[list[ContactState], st
             _attach_last_state(refused, path, count, programme)
             raise
         path.append(state)
+    memory.pose = pose
     return path, ""
 
 
@@ -578,6 +677,7 @@ def press(
     increments: int = INCREMENTS,
     watched: Watched | None = None,
     relaxation: Relaxation | None = None,
+    memory: PathMemory | None = None,
 ) -> ContactState:
     """Press rigid probes on a body along a path.
 
@@ -600,6 +700,8 @@ def press(
     relaxation
         The rubber's: the path is then taken in time if a step has ``seconds``, and the modulus is
         the instantaneous one.
+    memory
+        Of the press before, which this one goes on from where it can.
 
     Returns
     -------
@@ -624,6 +726,8 @@ def press(
     presses = (press, *press.also)
     if not any(step.seconds for step in press.path):
         relaxation = None
+    memory = memory or PathMemory()
+    memory.begin(press, relaxation is not None)
     setups = tuple(
         ProbeSetup(
             body=body,
@@ -649,22 +753,25 @@ def press(
     )
     if relaxation is not None:
         _refuse_unguided(programme)
-    states, reason = _solved(programme, increments)
+    states, reason = _solved(programme, increments, memory)
     estimates = Estimates(programme, increments, _solved, watched)
     states = [
-        replace(state, estimate=partial(estimates.of, step=step))
+        state if state.estimate else replace(state, estimate=partial(estimates.of, step=step))
         for step, state in enumerate(states)
     ]
     estimates.judge_at_once(states[-1], len(states) - 1)
+    if not reason:
+        memory.end(press, relaxation is not None, states)
     return replace(states[-1], path=tuple(states), complete=not reason, reason=reason)
 
 
-def _solved(programme: LoadProgramme, increments: int) -> tuple[list[ContactState], str]:
-    return (
-        _frictionless_path(programme)
-        if not any(programme.friction.tolist()) and programme.relaxation is None
-        else _frictional_path(programme, increments)
-    )
+def _solved(
+    programme: LoadProgramme, increments: int, memory: PathMemory | None = None
+) -> tuple[list[ContactState], str]:
+    memory = memory or PathMemory()
+    if not any(programme.friction.tolist()) and programme.relaxation is None:
+        return _frictionless_path(programme, memory)
+    return _frictional_path(programme, increments, memory)
 
 
 def _controls(presses: tuple[Press, ...], setups: tuple[ProbeSetup, ...]) -> tuple[Control, ...]:
