@@ -452,9 +452,16 @@ def test_the_force_is_drawn_against_time_where_a_press_takes_any(full: RunResult
     assert "at most 0.4 N" in drawn
 
 
-def test_what_round_off_leaves_of_an_error_is_shown_as_nothing(full: RunResult) -> None:
-    score = {"elastic": {"force_error": 6.7e-16, "indentation_error": 1e-4}}
+def test_ratios_are_in_percent_and_what_round_off_leaves_of_one_is_nothing(full: RunResult) -> None:
+    ratios = {"contact_over_probe_radius": 0.5, "largest_strain": 0.02, "contact_residual": 1e-9}
+    score = {
+        "elastic": {"force_error": 6.7e-16, "indentation_error": 1e-4, **ratios},
+        "force": {"field_error_normal": 0.25, "total_force_error_axes": [0.01, -0.02, 0.3]},
+    }
     shown = page_part(report(replace(full, score=score)), "Errors by stage")
+    cells = re.findall(r'<td class="figure">(.*?)</td>', shown)
+    assert all(cell.endswith("%") or cell.endswith(" %</data>") for cell in cells), "ratios have one unit"
+    assert [re.sub("<[^>]*>", "", cell) for cell in cells][-2:] == ["25 %", "(1, −2, 30) %"]
     assert ">0 %<" in shown
     assert ">0.01 %<" in shown
 

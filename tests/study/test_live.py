@@ -168,6 +168,16 @@ def test_in_time_a_held_press_creeps_slip_stays_and_another_place_begins_anew() 
         live.answer({**hand, "seconds": "long"})
 
 
+def test_a_press_at_rest_states_the_measured_cost_of_linear_theory(page: Any, live: LivePress) -> None:
+    """One number: what `twin run` measures under the same press, no longer the law's, eight times as large."""
+    table, _ = step(page, live.start().question())
+    assert "may be 7.0 % of the largest displacement off" in " ".join(table["contact"]["warnings"])
+    table, _ = step(page, live.start().question() | {"measured": True})
+    validity = live.environment.sensor.validity(live.environment.sensor.press())
+    assert f"is {100 * validity.linearisation_error:.2g} % of the largest" in table["contact"]["warnings"][0]
+    assert table["contact"]["warnings"][-1] == validity.linearisation_basis == "measured"
+
+
 def test_a_port_that_can_t_be_had_is_said_before_any_work(page: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.study.live.LivePress", None)
     with pytest.raises(InputError, match=f"--port {page.port}"):

@@ -40,19 +40,29 @@ _UNITS = {**UNITS, "deg": "°", "s": "s", "mm2": "mm²", "mm3": "mm³"}
 _NAMES = {
     "elastic.displacement_error": (
         "displacement error",
-        "estimated, over the largest displacement",
+        "of the finite elements alone: estimated, over the largest displacement",
     ),
     "elastic.largest_displacement_mm": ("largest displacement", "of a marker, for comparison"),
     "elastic.largest_strain": ("largest strain", "principal, by linear theory, at a marker"),
     "elastic.largest_turn_deg": ("largest turn", "of the rubber at a marker"),
     "elastic.contact_over_probe_radius": (
         "contact radius / probe radius",
-        "of a sphere; linear contact wants 0.3",
+        "of a sphere; linear contact wants 30 % at most",
     ),
     "elastic.linearisation_error": (
         "cost of linearity",
         "at the markers, over the largest displacement: measured, or estimated as the largest to "
         "expect (the page's facts say which)",
+    ),
+    "elastic.force_error": ("force error", "estimated, of every probe's total force"),
+    "elastic.indentation_error": ("indentation error", "estimated"),
+    "elastic.traction_error": (
+        "traction error",
+        "estimated, root mean square over that of the tractions",
+    ),
+    "elastic.markers_error": (
+        "markers' error",
+        "estimated, of all causes together, over the largest displacement",
     ),
     "elastic.creep_error": (
         "cost of creep",
@@ -60,7 +70,7 @@ _NAMES = {
     ),
     "elastic.contact_residual": (
         "contact residual",
-        "what is left of the contact's equations, as a share",
+        "what is left of the contact's equations",
     ),
     "tracking.bias_px": ("bias", "length of the mean of tracked minus true shift"),
     "tracking.bias_axes_px": ("bias by axis", "mean of tracked minus true shift, column and row"),
@@ -116,7 +126,11 @@ _NAMES = {
 }
 """Names and meanings of the figures of ``score.json``; others are named by their key."""
 
-_SHARES = ("_error", "matched", "share", "ratio")
+_SHARES = (
+    *("_error", "_error_normal", "_error_tangential", "_error_axes"),
+    *("matched", "share", "ratio", "_strain", "_residual"),
+    *("_over_probe_radius", "_over_thickness", "over_bound"),
+)
 """Endings of keys that hold a ratio, in percent."""
 
 _ROUND_OFF = 1e-12
@@ -472,8 +486,9 @@ def _list(key: str, values: Sequence[Any]) -> str:
     if all(
         isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values
     ):
-        unit = _split_unit(key)[1]
-        numbers = ", ".join(f'<data value="{v!r}">{digits(v)}</data>' for v in cleaned(values))
+        unit, times = ("%", 100.0) if key.endswith(_SHARES) else (_split_unit(key)[1], 1.0)
+        shown = [(v, digits(times * v)) for v in cleaned(values)]
+        numbers = ", ".join(f'<data value="{v!r}">{text}</data>' for v, text in shown)
         return f"({numbers})" + (f" {unit}" if unit else "")
     return "<ul>" + "".join(f"<li>{_as_html(key, v)}</li>" for v in values) + "</ul>"
 

@@ -249,7 +249,8 @@ class LivePress:
             self._first, self._before = self._first or press, hand
             self._steps += 1
             self._time_s += seconds
-        table = self._table(hand, seen) | {"time_s": self._time_s}
+        measured = press if seconds is None and question.get("measured") is True else None
+        table = self._table(hand, seen, measured) | {"time_s": self._time_s}
         table |= {"milliseconds": 1e3 * (time.perf_counter() - started)}
         text = json.dumps(plain(table), allow_nan=False).encode()
         return struct.pack("<I", len(text)) + text + eight_bits(seen.picture).tobytes()
@@ -276,7 +277,9 @@ class LivePress:
         self._time_s = 0.0
         return None
 
-    def _table(self, hand: Hand, seen: Observation) -> dict[str, Any]:
+    def _table(self, hand: Hand, seen: Observation, measured: Press | None) -> dict[str, Any]:
+        """Return the reply's table; what linear theory leaves out of a ``measured`` press is
+        measured, as `twin run` does."""
         truth = seen.truth
         known: Bools = np.asarray(np.isfinite(seen.marker_shift_px).all(axis=1))
         off = (seen.marker_shift_px - truth.marker_shift_px)[known]
@@ -287,13 +290,17 @@ class LivePress:
             centres = sensor.rectangles(state.load).centre_mm
             weights = state.pressure_mpa
             middle = np.average(centres, axis=0, weights=np.maximum(weights, 0) + 1e-12)
+            validity = state.validity if measured is None else sensor.validity(state, measured)
+            basis = (
+                () if measured is None or not validity.notes else (validity.linearisation_basis,)
+            )
             contact = {
                 "place": sensor.actual.scene.body.chart_of(middle[None])[0],
                 "radius_mm": state.contact_radius_mm,
                 "indentation_mm": state.indentation_mm,
                 "peak_pressure_mpa": state.peak_pressure_mpa,
                 "slip": float(np.mean(state.slip)) if state.friction else None,
-                "warnings": (*state.validity.warnings, *state.validity.notes),
+                "warnings": (*validity.warnings, *validity.notes, *basis),
             }
         return {
             "hand": hand.question(),
