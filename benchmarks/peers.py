@@ -450,16 +450,14 @@ def measured(problem: Problem, solve: Callable[[], Answers], quick: bool) -> dic
     while len(runs) < (1 if quick or runs[0].first.cpu > LONG_S else REPEATS):
         runs.append(solve())
     middle = sorted(runs, key=lambda each: each.first.cpu)[len(runs) // 2]
-    errors = [reference(problem.body).errors(moved, problem.right(n)) for n, moved in enumerate(middle.moved)]
+    errors = [reference(problem.body).errors(moved, problem.right(n))[0] for n, moved in enumerate(middle.moved)]
     row = {
         "unknowns": middle.unknowns,
         "cpu_s": middle.first.cpu,
         "wall_s": middle.first.wall,
         "next_cpu_s": sorted(each.next.cpu for each in runs)[len(runs) // 2],
-        "error_z": errors[0][0],
-        "error_x": errors[1][0],
-        "marker_error_z": errors[0][1],
-        "marker_error_x": errors[1][1],
+        "error_z": errors[0],
+        "error_x": errors[1],
     }
     print(".", end="", flush=True, file=sys.stderr)
     return row

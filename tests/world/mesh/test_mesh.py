@@ -130,7 +130,7 @@ def written(tmp_path):
 
 def test_a_file_round_trip_keeps_every_bit_read_only(written):
     again = Mesh.read(written)
-    assert again.digest() == COVERED.digest() != small_mesh(jitter_mm=0.1).digest()
+    assert again.digest() == COVERED.digest() != replace(COVERED, region=0 * COVERED.region).digest()
     np.testing.assert_array_equal(again.region, COVERED.region)
     for array in (*vars(again).values(), *vars(COVERED).values()):
         assert isinstance(array, int) or not array.flags.writeable

@@ -82,10 +82,12 @@ def replaced(array, value, row=0):
     return array
 
 
+TWICE = [0, *range(12)]
 FAULTS = {
     "negative": ("smallest volume", lambda m: {"tets": m.tets[:, [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]]}),
     "offset": ("offset of a boundary node", lambda m: moved(m, m.faces[0, 3], 1e-6)),
     "hole": ("open boundary edges: 3 ", lambda m: {"faces": m.faces[1:], "piece": m.piece[1:]}),
+    "face twice": ("open boundary edges: 3 ", lambda m: {"faces": m.faces[TWICE], "piece": m.piece[TWICE]}),
     "turned face": ("open boundary edges", lambda m: {"faces": replaced(m.faces, m.faces[0, [0, 2, 1, 5, 4, 3]])}),
     "wrong piece": ("boundary node", lambda m: {"piece": replaced(m.piece, (m.piece[0] + 1) % 6)}),
     "no piece": ("boundary faces of no piece: 1 ", lambda m: {"piece": replaced(m.piece, 6)}),
