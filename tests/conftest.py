@@ -12,3 +12,19 @@ def _nothing_kept_for_other_files(request: pytest.FixtureRequest) -> Iterator[No
     for each in vars(request.module).values():
         if hasattr(each, "cache_clear") and each.__module__ == request.module.__name__:
             each.cache_clear()
+
+
+@pytest.fixture
+def says(capsys):
+    """Give a command in this process, which must end with a code; return what it prints."""
+
+    def give(code, *arguments):
+        from twin.cli import main
+
+        with pytest.raises(SystemExit) as ended:
+            main(list(arguments))
+        printed = capsys.readouterr()
+        assert (ended.value.code or 0) == code, printed.err
+        return printed.out + printed.err
+
+    return give

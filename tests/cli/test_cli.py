@@ -107,13 +107,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["calibrate", "--scene", "block_bare", "--out", "x.npz"], ["block_bare: ", "[reconstruction]"]),
     ],
 )
-def test_wrong_input_is_told_in_the_users_terms(
-    arguments: list[str],
-    words: str | list[str],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_wrong_input_is_told_in_the_users_terms(arguments, words, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("FOLDER").mkdir()
     Path("FILE").touch()
@@ -186,9 +180,7 @@ def test_displacement_alone_loads_no_renderer_and_writes_no_picture(tmp_path: Pa
     assert twin("check", str(tmp_path)).returncode == 0
 
 
-def test_other_settings_and_other_scenes_are_written_under_other_names(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_settings_and_other_scenes_are_written_under_other_names(tmp_path, monkeypatch):
     from twin.commands import run, view
 
     monkeypatch.chdir(tmp_path)
@@ -273,9 +265,7 @@ def test_no_output_and_no_folder_are_no_internal_error(line: str, code: int, sai
     assert "internal" not in ended.stderr
 
 
-def test_a_renderer_of_no_known_name_is_refused_before_the_press_is_solved(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_renderer_of_no_known_name_is_refused_before_the_press_is_solved(monkeypatch):
     monkeypatch.setenv("TWIN_VARIANT", "nonsense")
     told: list[str] = []
     with pytest.raises(InputError, match="TWIN_VARIANT is 'nonsense'"):

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 import twin
-from twin.cli import main
 from twin.files import png_bytes
 from twin.parts.scene import Scene
 
@@ -117,9 +116,7 @@ OWN_SENSOR = (Path(__file__).parents[2] / "docs" / "own_sensor.md").read_text()
 COMMANDS = [line for block in re.findall(r"^```sh\n(.*?)^```$", OWN_SENSOR, re.M | re.S) for line in block.splitlines()]
 
 
-def test_the_commands_of_the_page_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_commands_of_the_page_run(tmp_path, monkeypatch, says):
     monkeypatch.chdir(tmp_path)
     told = []
     for command in COMMANDS:
@@ -128,10 +125,7 @@ def test_the_commands_of_the_page_run(
             Path("rest1.png").write_bytes(png_bytes(sensor.picture(None)))
         if "rest2.png" in command:
             continue  # `tests/study/test_camera.py`: it solves the body for the error of forces
-        with pytest.raises(SystemExit) as done:
-            main(shlex.split(command)[1:])
-        assert not done.value.code, command
-        told.append(capsys.readouterr().out)
+        told.append(says(0, *shlex.split(command)[1:]))
     assert ": ok" in told[1]
     assert "without source" not in told[1]
     assert "165 dark dots, 15 columns x 11 rows, square" in told[2]

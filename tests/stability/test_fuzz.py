@@ -101,9 +101,7 @@ def test_a_lock_is_not_taken_through_a_link(tmp_path: Path) -> None:
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_a_lock_is_gone_with_its_holder_and_one_just_removed_is_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lock_is_gone_with_its_holder_and_one_just_removed_is_none(tmp_path, monkeypatch):
     path, taken, really = tmp_path / "writer.lock", [], fcntl.flock
 
     def late(handle: int, how: int) -> None:

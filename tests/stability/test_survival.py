@@ -174,9 +174,7 @@ def test_compiled_code_has_a_place_where_neither_package_nor_home_can_be_written
     assert done.stdout.strip() == str(tmp_path / "cache" / "numba")
 
 
-def test_a_library_that_finds_the_disk_full_is_told_without_a_traceback(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_library_that_finds_the_disk_full_is_told_without_a_traceback(monkeypatch, capsys):
     import errno
 
     from twin import cli

@@ -108,9 +108,7 @@ def exact_calibration(sensor: twin.Sensor) -> Calibration:
 @pytest.mark.parametrize("probe", [twin.Sphere(diameter_mm=4), twin.Sphere(diameter_mm=10)], ids=["4 mm", "10 mm"])
 @pytest.mark.parametrize("gram_force", [70, 150])
 @pytest.mark.parametrize("at_mm", [(0.0, 0.0), (1.25, 0.0), (0.0, 1.25), (1.25, 1.25)], ids=str)
-def test_finger_forces_between_the_calibrated_sites(
-    at_mm: tuple[float, float], gram_force: float, probe: twin.Sphere
-) -> None:
+def test_finger_forces_between_the_calibrated_sites(at_mm, gram_force, probe):
     sensor = finger()
     state = sensor.press(twin.Press(probe=probe, at_mm=at_mm, force_n={"z": gram_force * GRAM_FORCE}))
     found = track(sensor.picture(None), sensor.picture(state.load), sensor.layout_px)

@@ -1,14 +1,17 @@
 """What can be computed but no sensor would show is said once, everywhere; `twin scenes --new` writes nothing of it."""
 
+import inspect
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import twin
-from twin.cli import main
-from twin.errors import RecipeError
+from twin.errors import InputError, RecipeError
 from twin.study.doubts import View, doubts, noise_bound
 from twin.study.new_scene import Pad
 from twin.study.recipe import load_scene, shipped_scenes
@@ -57,23 +60,17 @@ def test_the_noise_of_a_mosaic_video_or_compression_has_no_closed_form():
         assert noise_bound(load_scene(FLAT, {f"ccd.{key}": value for key, value in ccd.items()})) is None
 
 
-def test_check_warns(tmp_path, capsys):
+def test_check_warns(tmp_path, says):
     scene = tmp_path / "stiff.toml"
     scene.write_text(f'base = "{FLAT}"\n[material]\nyoungs_modulus_mpa = 150\n')
-    with pytest.raises(SystemExit) as ended:
-        main(["check", str(scene)])
-    assert ended.value.code == 0
-    assert "warning: material.youngs_modulus_mpa = 150 MPa" in capsys.readouterr().out
+    assert "warning: material.youngs_modulus_mpa = 150 MPa" in says(0, "check", str(scene))
 
 
 @pytest.mark.slow
-def test_a_press_that_moves_nothing_visibly_is_said_once_everywhere(tmp_path, capsys):
+def test_a_press_that_moves_nothing_visibly_is_said_once_everywhere(tmp_path, says):
     keys = ["material.youngs_modulus_mpa=1e6", "camera.width_px=320", "camera.height_px=240", "camera.focal_px=907.4"]
-    with pytest.raises(SystemExit) as ended:
-        main(["run", FLAT, "--out", str(tmp_path), *(word for key in keys for word in ("-s", key))])
-    assert ended.value.code == 0
+    told = says(0, "run", FLAT, "--out", str(tmp_path), *(word for key in keys for word in ("-s", key)))
     page, facts = (tmp_path / "report.html").read_text(), json.loads((tmp_path / "score.json").read_text())["facts"]
-    told = capsys.readouterr().out
     for words in ("1e+06 MPa: rubbers have", "o marker moves by more than"):
         assert told.count(words) == 1
         assert page.count(words) == 1
@@ -131,18 +128,9 @@ def test_a_chip_and_a_lens_give_the_angle(tmp_path: Path) -> None:
         (["--depth-mm", "1", "--depth-mm", "2", "--depth-mm", "3"], "3 layers of dots: allowed are one or two"),
     ],
 )
-def test_wrong_numbers_are_told(
-    arguments: list[str],
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_wrong_numbers_are_told(arguments, words, tmp_path, monkeypatch, says):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as done:
-        main(["scenes", "--new", "mine", *arguments])
-    assert done.value.code == 2
-    assert words in capsys.readouterr().err
+    assert words in says(2, "scenes", "--new", "mine", *arguments)
     assert not list(tmp_path.iterdir())
 
 
@@ -151,3 +139,97 @@ def test_a_file_that_is_there_is_kept(tmp_path: Path) -> None:
     with pytest.raises(twin.TwinError, match="is there already"):
         Pad().write(tmp_path / "mine")
     assert (tmp_path / "mine.toml").read_text() == "precious"
+
+
+# --- what is given to the python interface by mistake is told in the field's terms, before anything is computed
+
+
+PICTURE = np.zeros((48, 64, 3), np.uint8)
+LAYOUT = {"red": np.array([[10.0, 10.0], [30.0, 10.0]])}
+PUSH = twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0, 0, 1))
+PRESS = twin.Press(probe=twin.Sphere(diameter_mm=3), force_n=(0, 0, 1))
+
+
+@pytest.fixture(scope="module")
+def bare() -> twin.Sensor:
+    return twin.Sensor(twin.load_scene("block_bare"))
+
+
+@pytest.mark.parametrize(
+    ("mistake", "words"),
+    [
+        (lambda _: twin.load_scene(None), "the scene must be a str or a Path, not NoneType"),
+        (lambda _: twin.load_scene("block_bare", "seed=3"), "overrides must be a Mapping, not str 'seed=3'"),
+        (lambda _: twin.load_scene("block_bare", {3: 4}), "an override's key must be a str, not int 3"),
+        (lambda _: twin.load_scene("block_bare", {"seed": True}), "seed = 'true': must be a whole number"),
+        (lambda _: twin.Sensor("block_bare"), "not str 'block_bare': load one with twin.load_scene"),
+        (lambda _: twin.Environment("sato_press"), "not str 'sato_press': load one with twin.load_scene"),
+        (lambda s: s.displacement([[0, 0, 3.0]], PRESS), "the load must be a Load, not Press"),
+        (lambda s: s.displacement([["a", 0, 0]], PUSH), "points_mm: must be numbers of shape"),
+        (lambda s: s.displacement([[0, 0], [1, 2, 3]], PUSH), "points_mm: must be numbers of shape"),
+        (lambda s: s.press(PUSH), "the press must be a Press, not Load"),
+        (lambda s: s.picture(3), "the load must be a Load, not int 3"),
+        (lambda s: s.project([[0, 0, 3.0]], "drawn"), "which = 'drawn': allowed are 'actual' and 'nominal'"),
+        (lambda s: s.picture(None, exposure=-1), "exposure = -1: allowed are whole numbers from 0"),
+        (lambda s: s.picture(None, exposure=1.5), "exposure = 1.5: allowed are whole numbers from 0"),
+        (lambda _: twin.Traction.disk((0, 0), None, (0, 0, 1)), "radius_mm must be a Real"),
+        (lambda _: twin.Traction.twist((0, 0), 1, (0, 0, 1)), "torque_nmm one, got"),
+        (lambda _: twin.Sphere(radius_mm=3), "radius_mm: unknown key; did you mean 'diameter_mm'"),
+        (lambda _: twin.Sphere(3), "Sphere: 3: give every value by its name: kind, diameter_mm"),
+        (lambda _: twin.Sphere(diameter_mm=True), "diameter_mm = 'true' mm: must be a number"),
+        (lambda _: twin.track(PICTURE, PICTURE, list(LAYOUT)), "the layout must be a Mapping"),
+        (lambda _: twin.track(PICTURE, PICTURE, LAYOUT, channels=3), "channels must be a Mapping"),
+        (lambda _: twin.track(PICTURE, PICTURE, LAYOUT, diameter_px={"red": 3}), "diameter_px must be a Real"),
+        (lambda _: twin.reconstruct(LAYOUT, None), "the motion must be a Found"),
+        (lambda _: twin.run(twin.load_scene("block_bare"), want="displacements"), "unknown displacements"),
+        (lambda _: twin.Sphere(diameter_mm=-3), "diameter_mm = -3 mm: must be greater than"),
+        (lambda _: twin.Press(probe=PRESS.probe, force_n=(0, 0, 1), friction=-0.5), "frictionless"),
+        (lambda _: twin.Traction.rectangle((0, 0), 4, (0, 0, 1)), "size_mm"),
+        (lambda _: twin.Traction.disk((0, 0), 4, (0, 1)), "force_n three"),
+    ],
+)  # fmt: skip
+def test_what_was_meant_otherwise_is_told(mistake: Callable[[Any], object], words: str, bare: twin.Sensor) -> None:
+    with pytest.raises((InputError, RecipeError)) as told:
+        mistake(bare)
+    assert words in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        lambda p: p.astype(np.float32), lambda p: p.tolist(), np.asfortranarray, lambda p: np.repeat(p, 2, axis=0)[::2],
+        lambda p: np.frombuffer(p.tobytes()).reshape(p.shape),
+    ],
+    ids=["float32", "list", "by columns", "every second row", "read only"],
+)  # fmt: skip
+def test_points_may_come_in_any_layout_of_memory(given: Callable[[Any], Any], bare: twin.Sensor) -> None:
+    points = np.array([[1.0, 0.0, 3.0], [2.0, 0.5, 4.0]])
+    np.testing.assert_array_equal(bare.displacement(given(points), PUSH), bare.displacement(points, PUSH))
+
+
+def test_the_state_of_a_press_is_a_load(bare: twin.Sensor) -> None:
+    state = bare.press(PRESS)
+    points = [[0.0, 0.0, 3.0], [1.0, 0.5, 4.0]]
+    moved = bare.displacement(points, state)
+    np.testing.assert_array_equal(moved, bare.displacement(points, state.load))
+    assert np.abs(moved[:, 2]).min() > 0.01
+
+
+def test_a_run_writes_over_its_own_files_only(tmp_path: Path) -> None:
+    from twin.study.run import run_to_folder
+
+    scene = twin.load_scene("block_bare")
+    for _ in range(2):
+        run_to_folder(scene, tmp_path, {"displacement"})
+    (tmp_path / "timings.json").unlink()
+    (tmp_path / "scene.toml").write_text("mine")
+    with pytest.raises(InputError, match=r"holds truth\.npz, scene\.toml, which no run wrote"):
+        run_to_folder(scene, tmp_path, {"displacement"})
+    assert (tmp_path / "scene.toml").read_text() == "mine"
+
+
+def test_a_descriptions_signature_holds_names_and_defaults() -> None:
+    assert str(inspect.signature(twin.Sphere)) == "(*, kind='sphere', diameter_mm)"
+    shown = inspect.signature(twin.Scene).parameters
+    assert set(shown) == set(twin.Scene.model_fields) - {"source", "assumed"}
+    assert shown["markers"].default == {}

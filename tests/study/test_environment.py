@@ -18,9 +18,7 @@ def environment() -> twin.Environment:
     return twin.Environment(twin.load_scene("kamiyama_pillar", QUICK))
 
 
-def test_what_is_known_of_the_markers_outlives_many_contacts(
-    environment: twin.Environment, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_known_of_the_markers_outlives_many_contacts(environment, monkeypatch):
     environment.step(None)
     sensor = environment.sensor
     points = sensor.actual.markers.points

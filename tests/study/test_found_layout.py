@@ -8,7 +8,6 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 import twin
-from twin.cli import main
 from twin.files import png_bytes
 from twin.study.recipe import shipped_scenes
 
@@ -61,12 +60,10 @@ def rest(tmp_path_factory):
     return path
 
 
-def test_tables_that_are_written_make_a_scene_whose_markers_are_in_the_picture(rest, tmp_path, monkeypatch, capsys):
+def test_tables_that_are_written_make_a_scene_whose_markers_are_in_the_picture(rest, tmp_path, monkeypatch, says):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as done:
-        main(["calibrate", "--layout-from", str(rest), "--pitch-mm", "1.25", "--depth-mm", "0.5"])
-    assert not done.value.code
-    assert "143 dark dots, 13 columns x 11 rows, square" in capsys.readouterr().out
+    said = says(0, "calibrate", "--layout-from", str(rest), "--pitch-mm", "1.25", "--depth-mm", "0.5")
+    assert "143 dark dots, 13 columns x 11 rows, square" in said
     text = (tmp_path / "markers.toml").read_text()
     turn = float(text.split("tilt_deg = [0, 0, ")[1].split("]")[0])
     assert turn == pytest.approx(4, abs=0.5)  # the tolerance turns the camera as well
@@ -83,10 +80,8 @@ def test_tables_that_are_written_make_a_scene_whose_markers_are_in_the_picture(r
     assert green > 143 * 50, "a ring around every dot"
 
 
-def test_without_a_scale_millimetres_are_left_to_be_filled_in(rest, tmp_path, capsys):
-    with pytest.raises(SystemExit) as done:
-        main(["calibrate", "--layout-from", str(rest), "--out", str(tmp_path / "m.toml")])
-    assert not done.value.code
+def test_without_a_scale_millimetres_are_left_to_be_filled_in(rest, tmp_path, says):
+    says(0, "calibrate", "--layout-from", str(rest), "--out", str(tmp_path / "m.toml"))
     table = tomllib.loads((tmp_path / "m.toml").read_text())["markers"]["black"]
     assert not {"pitch_mm", "diameter_mm", "depth_mm"} & set(table)
     (tmp_path / "s.toml").write_text('base = "block_bare"\n' + (tmp_path / "m.toml").read_text())
@@ -94,14 +89,12 @@ def test_without_a_scale_millimetres_are_left_to_be_filled_in(rest, tmp_path, ca
         twin.load_scene(tmp_path / "s.toml")
 
 
-def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, capsys):
-    with pytest.raises(SystemExit) as done:
-        main(["calibrate", "--layout-from", str(rest), "--scene", "gelpad_press", "--out", str(tmp_path / "m.toml")])
-    assert not done.value.code
+def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, says):
+    made = ["calibrate", "--layout-from", str(rest), "--out", str(tmp_path / "m.toml"), "--scene"]
+    said = says(0, *made, "gelpad_press")
     table = tomllib.loads((tmp_path / "m.toml").read_text())["markers"]["dots"]
     assert table["pitch_mm"] == pytest.approx(1.25, rel=0.01)
     assert table["depth_mm"] == 0.5
-    said = capsys.readouterr().out
     focal_px = float(said.split("equal with focal_px = ")[1].split()[0])
     assert f"pitch {table['pitch_mm']:g} mm by the scene's camera, drawn 1.25 mm" in said
     assert focal_px == pytest.approx(900 * table["pitch_mm"] / 1.25, rel=1e-3)
@@ -109,10 +102,7 @@ def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, capsys):
     place_mm = twin.load_scene("gelpad_press").camera.pupil_mm[2]
     near = tmp_path / "near.toml"
     near.write_text(f'base = "gelpad_press"\ncamera.pupil_mm = [0, 0, {place_mm - 6}]\n')
-    with pytest.raises(SystemExit):
-        main(["calibrate", "--layout-from", str(rest), "--scene", str(near), "--out", str(tmp_path / "m.toml")])
-    said = capsys.readouterr().out
-    assert float(said.split("z of about ")[1].split()[0]) == pytest.approx(place_mm, abs=0.3)
+    assert float(says(0, *made, str(near)).split("z of about ")[1].split()[0]) == pytest.approx(place_mm, abs=0.3)
 
 
 @pytest.mark.parametrize(
@@ -127,10 +117,7 @@ def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, capsys):
         (["--scene", "gelpad_press", "-s", "camera.width_px=320"], "is 640x480 px, the scene's camera 320x480 px"),
     ],
 )
-def test_wrong_options_are_told(rest, arguments, words, tmp_path, monkeypatch, capsys):
+def test_wrong_options_are_told(rest, arguments, words, tmp_path, monkeypatch, says):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as done:
-        main(["calibrate", "--layout-from", str(rest), *arguments])
-    assert done.value.code == 2
-    assert words in capsys.readouterr().err
+    assert words in says(2, "calibrate", "--layout-from", str(rest), *arguments)
     assert not list(tmp_path.iterdir())

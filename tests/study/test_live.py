@@ -13,7 +13,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,9 +38,7 @@ def page(live: LivePress) -> Iterator[Any]:
     return page
 
 
-def asked(
-    page: Any, method: str, path: str, body: bytes | None = None, **headers: str
-) -> tuple[int, bytes, dict[str, str]]:
+def asked(page, method, path, body=None, **headers):
     connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=60)
     try:
         connection.request(method, path, body, {key.replace("_", "-"): value for key, value in headers.items()})
@@ -223,9 +220,7 @@ def command() -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("chromium"), reason="needs a browser: apt install chromium")
-def test_a_browser_shows_it_moving_and_ctrl_c_ends_it(
-    command: tuple[subprocess.Popen[str], str], tmp_path: Path
-) -> None:
+def test_a_browser_shows_it_moving_and_ctrl_c_ends_it(command, tmp_path):
     running, address = command
     browser = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1400,900"]
     waits = "--virtual-time-budget=6000"

@@ -52,9 +52,7 @@ FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
         (1.0, float("nan"), None, {}, "not defined in the twin"),
     ],
 )
-def test_a_records_verdict(
-    paper: float | None, twin: float, spread: float | None, off: dict[str, float], said: str
-) -> None:
+def test_a_records_verdict(paper, twin, spread, off, said):
     record = Record(quantity=Quantity("q", "px", paper=paper), twin=twin, spread=spread, explained_by=off)
     assert record.verdict == said
 

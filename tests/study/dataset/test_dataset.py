@@ -243,9 +243,7 @@ def test_check_finds_a_changed_byte_and_an_unfinished_dataset(tmp_path: Path) ->
         check_path(str(folder))
 
 
-def test_a_full_disk_leaves_whole_files_and_the_same_command_goes_on(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_leaves_whole_files_and_the_same_command_goes_on(made, tmp_path, monkeypatch):
     def full(path: Path, write: object) -> None:
         if path.name == "part-00001.parquet" and path.parent.name == "data":
             raise TwinError(f"{path}: can't be written (No space left on device)")
@@ -276,9 +274,7 @@ def test_what_can_not_vary_is_refused_by_name(key: str, words: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize(("low", "high", "end"), [(0.45, 0.6, "high"), (-0.7, 0.45, "low")])
-def test_a_range_that_reaches_beyond_what_is_allowed_is_refused_first(
-    low: float, high: float, end: str, tmp_path: Path
-) -> None:
+def test_a_range_that_reaches_beyond_what_is_allowed_is_refused_first(low, high, end, tmp_path):
     vary = {"material.poisson_ratio": {"low": low, "high": high}}
     with pytest.raises(RecipeError, match=rf"{end} ends of the ranges.*poisson_ratio"):
         make(tmp_path / "d", 1, small_scene(vary=vary))

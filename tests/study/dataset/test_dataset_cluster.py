@@ -33,22 +33,17 @@ def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path, monkeypatch: p
     assert not (tmp_path / "d").exists(), "nothing is left of what was never begun"
 
 
-def test_tls_files_are_given_together_and_exist(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from twin.cli import main
-
+def test_tls_files_are_given_together_and_exist(tmp_path, says):
     there = tmp_path / "there.pem"
     there.write_text("")
-    for options, said in (
+    for options, words in (
         (["--scheduler", "tls://here:1"], "needs --tls-ca, --tls-cert, --tls-key"),
         (["--scheduler", "tls://here:1", "--tls-ca", str(there)], "needs --tls-cert, --tls-key"),
         (["--scheduler", "tcp://here:1", "--tls-ca", str(there)], "must start with tls://"),
         (["--scheduler", "tls://here:1", "--tls-key", "none.pem"], "--tls-key none.pem: there is no such file"),
         (["--tls-ca", str(there)], "belong to --scheduler"),
     ):
-        with pytest.raises(SystemExit) as ended:
-            main(["dataset", "dataset_kamiyama", "--samples", "2", "--out", str(tmp_path / "d"), *options])
-        assert ended.value.code == 2
-        assert said in capsys.readouterr().err
+        assert words in says(2, "dataset", "dataset_kamiyama", "--samples", "2", "--out", str(tmp_path / "d"), *options)
 
 
 STRANGER = """
@@ -106,9 +101,7 @@ def test_several_workers_need_a_loopback(monkeypatch: pytest.MonkeyPatch) -> Non
     ("problem", "said"),
     [(RuntimeError("Nanny failed to start."), "Nanny failed"), (OSError(11, "no processes left"), "no processes left")],
 )
-def test_workers_that_can_not_be_started_are_told_with_the_cause(
-    problem: Exception, said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_that_can_not_be_started_are_told_with_the_cause(problem, said, monkeypatch):
     import distributed
 
     def failing(**options: object) -> None:
@@ -119,9 +112,7 @@ def test_workers_that_can_not_be_started_are_told_with_the_cause(
         pass
 
 
-def test_workers_start_only_where_the_job_takes_longer_than_their_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_start_only_where_the_job_takes_longer_than_their_start(tmp_path, monkeypatch):
     started: list[int] = []
 
     def refused(count: int) -> None:
@@ -138,9 +129,7 @@ def test_workers_start_only_where_the_job_takes_longer_than_their_start(
 
 
 @pytest.mark.parametrize("forks", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_two_local_workers_make_the_same_bytes_as_one(
-    forks: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_local_workers_make_the_same_bytes_as_one(forks, tmp_path, monkeypatch):
     """Copies of this process, which work here alone, and dask's."""
     processes: set[int] = set()
     monkeypatch.setattr(pool, "FORKS", forks)

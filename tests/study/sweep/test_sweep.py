@@ -228,9 +228,7 @@ def test_one_axis_and_nothing_possible_still_make_a_page(tmp_path: Path) -> None
     assert "None of 1 designs is possible" in (tmp_path / "report.html").read_text()
 
 
-def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(tmp_path, monkeypatch):
     cpu = [0.0]
 
     folders = set()

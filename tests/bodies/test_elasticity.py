@@ -1,9 +1,12 @@
 """Bodies from STL files deform as the formulas they stand for, to their facets' accuracy."""
 
+import json
+from functools import cache
+
 import numpy as np
 import pytest
 from slabs import block_boxes
-from standard_bodies import relative_error, write_stl
+from standard_bodies import BLOCK, DOME, REFERENCE, relative_error, traction_of, write_stl
 from stl_shapes import (
     SENSING_BELOW,
     bracket,
@@ -17,28 +20,28 @@ from stl_shapes import (
 
 import twin.world.mesh.body_mesh
 from benchmarks.layered import Layered, bump_displacement
-from twin.cli import main
 from twin.errors import InputError
 from twin.files import MESHES
 from twin.geometry.closed import Surface
 from twin.parts.body import Block, Solid
 from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
+from twin.theory import halfspace
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import require_on_surface, tile
 from twin.world.elasticity.error_law import missed_at_edges
 from twin.world.mesh.body_mesh import body_mesh, build_mesh, fewer
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality
-from twin.world.mesh.sizing import Sizing
+from twin.world.mesh.sizing import WORLD, Sizing
 from twin.world.mesh.snap import snapped_mesh
 
 RUBBER = Material(youngs_modulus_mpa=0.5, poisson_ratio=0.5)
-BLOCK = Block(width_mm=12, length_mm=10, thickness_mm=8)
+SMALL = Block(width_mm=12, length_mm=10, thickness_mm=8)
 LOADS = [Traction.rectangle((1, -1), (3, 2), (0, 0, 1)), Traction.bump((-1, 1), 2, (1, 0.5, 0))]
 
 
-def disturbed_mesh(body, cells=(6, 5, 4), block=BLOCK):
+def disturbed_mesh(body, cells=(6, 5, 4), block=SMALL):
     """Return a mesh of the block's inside, its nodes moved, then snapped to ``body``."""
     return snapped_mesh(body, *block_boxes(block, cells, 0.15))
 
@@ -56,12 +59,12 @@ def apart(mine, theirs):
 
 def test_a_box_of_triangles_moves_as_the_block(tmp_path):
     solid = solid_box(tmp_path, 12, 10, 8)
-    mine, theirs = disturbed_mesh(solid), disturbed_mesh(BLOCK)
+    mine, theirs = disturbed_mesh(solid), disturbed_mesh(SMALL)
     np.testing.assert_allclose(mine.points, theirs.points, atol=1e-12)
     assert not Quality.of(mine, solid).failures()
     assert np.abs(Quality.of(mine, solid).volume_error) < 1e-12
     points = np.random.default_rng(2).uniform([-5, -4, 0.3], [5, 4, 7], (60, 3))
-    assert apart(moved(solid, mine, LOADS, points), moved(BLOCK, theirs, LOADS, points)) < 1e-9
+    assert apart(moved(solid, mine, LOADS, points), moved(SMALL, theirs, LOADS, points)) < 1e-9
 
 
 def test_a_facetted_dome_on_the_domes_mesh_is_off_by_its_facets_only(tmp_path):
@@ -102,16 +105,13 @@ def test_a_finely_cut_surface_is_described_by_fewer_triangles():
     assert fewer(few.vertices, few.triangles, 1e-9)[1] is few.triangles
 
 
-def test_check_names_the_place_of_an_edge_too_sharp_for_any_mesh(tmp_path, capsys):
+def test_check_names_the_place_of_an_edge_too_sharp_for_any_mesh(tmp_path, says):
     write_stl(tmp_path / "wedge.stl", wedge())
     (tmp_path / "wedge.toml").write_text(
         '[body]\nshape = "solid"\nfile = "wedge.stl"\nheld = {normal = [0, 0, 1], within_deg = 5}\n'
         "sensing = {normal = [0, 0, -1]}\n[material]\n"
     )
-    with pytest.raises(SystemExit) as ended:
-        main(["check", str(tmp_path / "wedge.toml")])
-    assert ended.value.code == 1
-    assert "an edge of 8 deg at (20, 0, 2.811) mm" in capsys.readouterr().err
+    assert "an edge of 8 deg at (20, 0, 2.811) mm" in says(1, "check", str(tmp_path / "wedge.toml"))
 
 
 def test_a_load_whose_plane_the_body_crosses_is_refused(tmp_path):
@@ -199,3 +199,72 @@ def test_beside_a_dent_errors_are_of_the_faces_that_are_there(tmp_path):
         require_on_surface(solid, load, half_space=False)
         missed = missed_at_edges(solid, np.array([[x, 0.3, 0.0]]), load, np.array([4.0]))
         assert np.linalg.norm(missed) < 0.05  # mm, of E = 1 MPa
+
+
+# --- the dome's elastic field ---------------------------------------------------------------------
+
+
+TRUTH = np.load(REFERENCE / "dome.npz")
+CASES = json.loads(str(TRUTH["cases"]))
+
+
+@cache
+def compliance(level, nu):
+    """Return the dome's compliance on a shipped mesh."""
+    material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
+    return Compliance(DOME, material, Mesh.read(MESHES / f"dome.{level}.npz"), level=level)
+
+
+def error(level, case):
+    """Return the largest error over the largest displacement of one case of the reference."""
+    load = tile(traction_of(case), DOME)
+    moved = compliance(level, case["nu"]).displacement(TRUTH["points"], load)
+    return relative_error(moved, TRUTH[case["key"]])
+
+
+@pytest.mark.parametrize("level", ["nominal", *WORLD])
+def test_shipped_meshes_pass_the_gates_and_are_the_ones_that_would_be_made(level):
+    path = MESHES / f"dome.{level}.npz"
+    measured = Quality.of(Mesh.read(path), DOME)
+    assert not measured.failures()
+    assert measured.least_dihedral_deg > 12
+    assert abs(measured.volume_error) < 1e-4
+    assert Mesh.load(path)[1]["key"] == Sizing.of(DOME, level).mesh_key(DOME)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("level", "bound"), [("nominal", 3e-3), ("sketch", 1e-2), ("coarse", 5e-3), ("standard", 1.5e-3), ("fine", 1e-3)]
+)
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["key"])
+def test_every_level_against_the_independent_program(level, bound, case):
+    assert error(level, case) < bound
+
+
+def test_a_push_on_the_apex_moves_nothing_sideways_there_and_a_twist_only_turns():
+    stiff = compliance("nominal", 0.5)
+    axis = np.column_stack([np.zeros((5, 2)), np.linspace(0.3, 6, 5)])
+    pushed = stiff.displacement(axis, tile(Traction.disk((0, 0), 1.5, (0, 0, 1)), DOME))
+    assert np.abs(pushed[:, :2]).max() < 1e-3 * np.abs(pushed).max()
+    ring = DOME.chart_points(3 * np.array([[1.0, 0], [0, 1], [-0.6, 0.8]]), 1.0)
+    twisted = stiff.displacement(ring, tile(Traction.twist((0, 0), 2.0, 10.0), DOME))
+    around = np.column_stack([-ring[:, 1], ring[:, 0]]) / np.hypot(ring[:, 0], ring[:, 1])[:, None]
+    along = np.einsum("ni,ni->n", twisted[:, :2], around)
+    assert (along > 0).all()
+    np.testing.assert_allclose(along, along.mean(), rtol=0.01)
+    assert np.abs(twisted - along[:, None] * np.column_stack([around, np.zeros(3)])).max() < 0.01 * along.mean()
+
+
+@pytest.mark.parametrize("force", [(0, 0, 1), (1, 0, 0)])
+def test_the_smaller_the_load_the_nearer_its_own_field_is_to_the_half_space(force):
+    off = []
+    for radius in (0.8, 0.4, 0.2):
+        load = tile(Traction.disk((0, 0), radius, force), DOME)
+        below = radius * np.array([[0.0, 0, 0.5], [0.3, 0.2, 1.0], [0, 0.8, 1.5]])
+        moved = compliance("nominal", 0.5).displacement(below, load)
+        flat = tile(Traction.disk((0, 0), radius, force), BLOCK)
+        alone = halfspace.displacement(below, flat, 0.5, 0.5)
+        off.append(np.abs(moved - alone).max() / np.abs(alone).max())
+    assert off[0] < 0.25
+    assert off[2] < off[1] < off[0]
+    assert 1.5 < off[1] / off[2] < 2.3
