@@ -25,12 +25,11 @@ from twin.arrays import Floats, Pixels, Singles
 from twin.blas_threads import one_thread
 from twin.errors import AccuracyWarning
 from twin.parts.load import Rectangles
-from twin.parts.scene import Scene
+from twin.parts.scene import Purpose, Scene
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found, track
 from twin.sense.transfer import from_compliance
-from twin.streams import Purpose, stream
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
@@ -184,7 +183,7 @@ def _light(renderer: Renderer, sensor: Sensor, motion: Motion | None) -> Singles
 def _picture(sensor: Sensor, light: Singles, number: int, *, noise: bool) -> Any:
     scene = sensor.nominal
     ccd = scene.ccd if noise else scene.ccd.model_copy(update={"noise": False})
-    return expose(light, ccd, stream(scene.seed, Purpose.EXPOSURE, number), sensor.pattern)
+    return expose(light, ccd, Purpose.EXPOSURE.stream(scene.seed, number), sensor.pattern)
 
 
 def _tracked(press: Press, scene: Scene, exposure: int | None = None) -> Found:

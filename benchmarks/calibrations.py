@@ -35,7 +35,7 @@ from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.coated import CoveredCompliance
-from twin.world.elasticity.fem import Layer
+from twin.world.elasticity.fem import TaylorHood
 
 SENSORS = 20
 NU = 0.499
@@ -130,7 +130,7 @@ class Truth:
         """Return the body's compliance; a covered one has a mesh for every place, of which the last is kept."""
         if not self.covered:
             return self.sensor.compliance
-        scene, layer = self.sensor.nominal, Layer(modulus_ratio=COVER, poisson_ratio=NU)
+        scene, layer = self.sensor.nominal, TaylorHood.Layer(modulus_ratio=COVER, poisson_ratio=NU)
         return CoveredCompliance(scene.body, scene.material, 0.2, layer, level="coarse")
 
     def _stiffer(self, one: Any) -> float:

@@ -40,11 +40,10 @@ def state() -> dict[str, float]:
 def jobs(folder: Path) -> dict[str, Callable[[int], None]]:
     """Return the jobs of a round by name; each takes the round's number and leaves nothing but what it overwrites."""
     import twin
-    from twin.study.recipe import dump_scene
 
     sensor = twin.Sensor(twin.load_scene("kamiyama_pillar", SMALL))
     scene = folder / "small.toml"
-    scene.write_text(dump_scene(sensor.nominal))
+    scene.write_text(sensor.nominal.to_toml())
     calibration, out = folder / "flat.npz", folder / "out"
 
     def press(number: int) -> None:

@@ -22,7 +22,7 @@ from benchmarks.random_recipes import Table, bounds, nested_rules, put, slots
 from benchmarks.random_scenes import Tally, assert_sound
 from twin.errors import TwinError
 from twin.parts.scene import Scene
-from twin.study.recipe import dump_scene, load_scene, validate_scene
+from twin.study.recipe import load_scene, validate_scene
 from twin.study.run import run
 
 FAR = (0.0, 5e-324, 1e-200, 1e-12, 1e12, -1e12, 1e300, -1e300)
@@ -130,7 +130,7 @@ def extremes(rules: typing.Sequence[Any], kind: type, dear: float = math.inf) ->
 def cases(name: str) -> Iterator[tuple[str, float | int, Table]]:
     """Yield the key that is changed, its value and the recipe, of a scene of `SCENES`."""
     scene = scene_of(name)
-    plain = tomllib.loads(dump_scene(scene))
+    plain = tomllib.loads(scene.to_toml())
     for path, rules, kind in numbers(scene, LEFT[name]):
         for value in extremes(rules, kind, DEAR.get(str(path[-1]), math.inf)):
             changed = copy.deepcopy(plain)

@@ -266,7 +266,6 @@ def make(folder: Path, readers: Iterable[str]) -> None:
     from twin.show.report import report
     from twin.study.calibrate import calibrate_to_file
     from twin.study.dataset.create import create_dataset
-    from twin.study.recipe import dump_scene
     from twin.study.run import run
 
     folder.mkdir(parents=True)
@@ -275,7 +274,7 @@ def make(folder: Path, readers: Iterable[str]) -> None:
     result = run(scene)
     result.write(base)
     (base / "report.html").write_text(report(result))
-    (base / "small.toml").write_text(dump_scene(scene))
+    (base / "small.toml").write_text(scene.to_toml())
     calibrate_to_file(scene, base / "flat.npz")
     (base / "sweep.toml").write_text(SWEEP)
     (base / "presses.csv").write_text(CSV)

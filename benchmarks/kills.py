@@ -51,10 +51,9 @@ JOBS = {
 def prepare(folder: Path) -> None:
     """Write the recipes of the jobs."""
     import twin
-    from twin.study.recipe import dump_scene
 
-    (folder / "small.toml").write_text(dump_scene(twin.load_scene("kamiyama_pillar", SMALL)))
-    (folder / "data.toml").write_text(dump_scene(twin.load_scene("kamiyama_pillar", {**SMALL, **VARY})))
+    (folder / "small.toml").write_text(twin.load_scene("kamiyama_pillar", SMALL).to_toml())
+    (folder / "data.toml").write_text(twin.load_scene("kamiyama_pillar", {**SMALL, **VARY}).to_toml())
     (folder / "sweep.toml").write_text(SWEEP.replace('"closed"]', '"closed", "linear"]'))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import jv
 
 from twin.arrays import Floats, Points
-from twin.theory.bonded_layer import motions, tractions
+from twin.theory.bonded_layer import BondedLayer
 
 DECAY, ENOUGH = 42.0, 500.0
 """Waves are summed up to k = DECAY / depth, but no further than ENOUGH / radius."""
@@ -94,11 +94,11 @@ def amplitudes(k: Floats, depth: float, half_space: Layered) -> tuple[Floats, Fl
     kt, fade = k * t, np.exp(-k * t)
     # columns: decaying A, B and growing a, b in the layer (growing ones are 1 at the interface), A, B below
     matrix = np.zeros((len(k), 6, 6))
-    for row, values in enumerate(tractions(0.0 * k, nu1, g1)):
+    for row, values in enumerate(BondedLayer.wave_tractions(0.0 * k, nu1, g1)):
         matrix[:, row, :2] = values[0]
         matrix[:, row, 2:4] = values[1] * fade[:, None]
-    layer = (*motions(kt, nu1), *tractions(kt, nu1, g1))
-    below = (*motions(0.0 * k, nu2), *tractions(0.0 * k, nu2, g2))
+    layer = (*BondedLayer.wave_motions(kt, nu1), *BondedLayer.wave_tractions(kt, nu1, g1))
+    below = (*BondedLayer.wave_motions(0.0 * k, nu2), *BondedLayer.wave_tractions(0.0 * k, nu2, g2))
     for row, (upper, lower) in enumerate(zip(layer, below, strict=True), start=2):
         matrix[:, row, :2] = upper[0] * fade[:, None]
         matrix[:, row, 2:4] = upper[1]
@@ -110,10 +110,10 @@ def amplitudes(k: Floats, depth: float, half_space: Layered) -> tuple[Floats, Fl
     solved = np.linalg.solve(matrix, right / k[:, None, None])
     if depth <= t:
         decays, grows = np.exp(-k * depth)[:, None], np.exp(k * (depth - t))[:, None]
-        basis = [np.hstack([m[0] * decays, m[1] * grows]) for m in motions(k * depth, nu1)]
+        basis = [np.hstack([m[0] * decays, m[1] * grows]) for m in BondedLayer.wave_motions(k * depth, nu1)]
         parts = solved[:, :4]
     else:
-        basis = [m[0] * np.exp(-k * (depth - t))[:, None] for m in motions(k * (depth - t), nu2)]
+        basis = [m[0] * np.exp(-k * (depth - t))[:, None] for m in BondedLayer.wave_motions(k * (depth - t), nu2)]
         parts = solved[:, 4:]
     u, w = (np.einsum("qi,qic->cq", b, parts) for b in basis)
     return np.stack([u[0], w[0]]), np.stack([u[1], w[1]]), _across(k, depth, t, g1, g2)

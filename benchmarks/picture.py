@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.clock import repeated
 from twin.parts.camera import PRESETS as CCD_PRESETS
 from twin.parts.camera import Ccd
-from twin.parts.markers import place
+from twin.parts.markers import MarkerSet
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
 from twin.theory.optics import project
@@ -91,7 +91,7 @@ def _markers(scene: Scene) -> Ellipsoids:
     """Return the markers with print errors, so that they meet the pixel grid in all ways."""
     count = sum(layer.columns * layer.rows for layer in scene.markers.values())
     jitter = np.random.default_rng(1).normal(0, 0.03, (count, 2))
-    return Ellipsoids.of(place(scene.body, scene.markers, jitter), scene.markers)
+    return Ellipsoids.of(MarkerSet.place(scene.body, scene.markers, jitter), scene.markers)
 
 
 def _pixels(scene: Scene, markers: Ellipsoids) -> np.ndarray:

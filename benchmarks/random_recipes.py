@@ -22,8 +22,7 @@ from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.markers import MarkerLayer
 from twin.parts.material import Cover, Material
 from twin.parts.part import Part
-from twin.parts.scene import Accuracy, Reconstruction, Scene, Tolerance, Tracking
-from twin.study.recipe import dump_scene
+from twin.parts.scene import Scene
 
 Table = dict[str, Any]
 Strategy = st.SearchStrategy[Any]
@@ -151,7 +150,7 @@ def recipes(draw: Callable[[Strategy], Any]) -> Table:
     body, half, size = BODIES[draw(st.sampled_from(["block"] * 6 + ["finger", "dome"]))]
     # material.law stays linear: most of these presses are refused at finite strain
     rubber = part(Material, without=("law", "law_ratios"))
-    accuracy, material, tolerance = draw(part(Accuracy)), draw(rubber), draw(part(Tolerance))
+    accuracy, material, tolerance = draw(part(Scene.Accuracy)), draw(rubber), draw(part(Scene.Tolerance))
     if body["shape"] != "block":  # the block has a table, the others are solved
         accuracy["displacement"] = draw(st.floats(0.03, 0.2))
         if accuracy.get("surface_table"):  # half a minute for each Poisson's ratio, so that all have the same
@@ -162,7 +161,7 @@ def recipes(draw: Callable[[Strategy], Any]) -> Table:
         "material": material,
         "accuracy": accuracy,
         "tolerance": tolerance,
-        "tracking": draw(part(Tracking)),
+        "tracking": draw(part(Scene.Tracking)),
         "press": draw(presses(half, size)),
         "markers": draw(st.dictionaries(st.sampled_from(["red", "blue", "green"]), part(MarkerLayer), min_size=1)),
     }
@@ -188,7 +187,7 @@ def sights(draw: Callable[[Strategy], Any], body: Table) -> Table:
     light["positions_mm"] = draw(st.lists(spot, min_size=1, max_size=4))
     table: Table = {"camera": camera, "light": light, "ccd": draw(part(Ccd))}
     if draw(st.booleans()):
-        table["reconstruction"] = draw(part(Reconstruction))
+        table["reconstruction"] = draw(part(Scene.Reconstruction))
     return table
 
 
@@ -309,7 +308,7 @@ class Spoilt:
 def spoilt(draw: Callable[[Strategy], Any], valid: Strategy) -> Spoilt:
     """Draw a valid scene and spoil one of its keys."""
     scene: Scene = draw(valid)
-    table = tomllib.loads(dump_scene(scene))
+    table = tomllib.loads(scene.to_toml())
     chance = Random(draw(st.integers(0, 2**32)))  # strategies lean towards what is listed first
     slot = chance.choice([s for s in slots(scene) if s.field is None or spoilt_values(s)])
     if slot.field is None:

@@ -41,7 +41,7 @@ from benchmarks.random_recipes import Spoilt, Table, recipes, spoilt
 from benchmarks.record import Count, machine, read, table, write
 from twin.errors import ContactError, InputError, MeshError, RecipeError, TwinError
 from twin.parts.load import Traction
-from twin.parts.markers import place
+from twin.parts.markers import MarkerSet
 from twin.parts.scene import Scene
 from twin.results import RunResult
 from twin.study.recipe import load_scene, shipped_scenes, validate_scene
@@ -229,7 +229,7 @@ def assert_mirrored(recipe: Table, scene: Scene, result: RunResult, tally: Tally
         validate_scene({**mirrored(recipe), "tolerance": {"preset": "none"}, "material": material}, "drawn, mirrored")
     )
     apart = np.linalg.norm(
-        place(scene.body, scene.markers).points[:, None] - (there.nominal_markers.points * flip)[None], axis=2
+        MarkerSet.place(scene.body, scene.markers).points[:, None] - (there.nominal_markers.points * flip)[None], axis=2
     )
     assert max(apart.min(axis=0).max(), apart.min(axis=1).max()) < 1e-9, "mirrored markers lie elsewhere"
     try:

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.picture import SPLAT
 from twin.arrays import Floats, Ints, Pixels
-from twin.parts.markers import place
+from twin.parts.markers import MarkerSet
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
 from twin.world.picture.backend import Variant
@@ -63,7 +63,7 @@ def _compared(scene: Scene, count: int, samples: int) -> dict[str, Any]:
 
     Brightness takes so many samples a pixel, places take `SAMPLES_A_PASS`.
     """
-    markers = Ellipsoids.of(place(scene.body, scene.markers), scene.markers)
+    markers = Ellipsoids.of(MarkerSet.place(scene.body, scene.markers), scene.markers)
     bare = scene.model_copy(update={"cover": None})
     renderer = Renderer(bare, markers, SPLAT, subpixels=8)
     outlines, light = renderer.outlines(markers), renderer.radiance(markers).astype(float)

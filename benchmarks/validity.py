@@ -28,7 +28,7 @@ from twin.study.sensor import Sensor
 from twin.world.contact.probe_gap import Approach
 from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
-from twin.world.mesh.interpolate import Locator, Places
+from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.quadratic_mesh import Mesh
 
 GRAM = 0.00980665
@@ -169,7 +169,9 @@ def _contact_figures(case: Case, contact: Contact, lin: Floats) -> dict[str, Any
     }
 
 
-def _strains(at_markers: Places, locator: Locator, contact: Contact, lin: Floats, real: Floats) -> dict[str, float]:
+def _strains(
+    at_markers: Locator.Places, locator: Locator, contact: Contact, lin: Floats, real: Floats
+) -> dict[str, float]:
     """Return largest strains: of linear theory and real, at the markers and below the contact; and the largest turn."""
     touching = np.linalg.norm(contact.springs(lin)[0], axis=1) > 0
     deep = locator.locate(contact.rest_mm[touching] + DEEP_MM * contact.inward[touching])

@@ -7,6 +7,7 @@ of the top-left pixel.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar
 
@@ -71,6 +72,23 @@ def grid_points(*axes: Floats) -> Floats:
 def coordinates(point: Floats) -> str:
     """Return the coordinates of a point to four digits, for messages."""
     return ", ".join(f"{coordinate:.4g}" for coordinate in point)
+
+
+def spacing(places: Floats) -> float:
+    """Return about the distance of neighbours among (n, 2 or 3) places, seen along z; rows with NaN
+    are left out."""
+    seen = places[np.isfinite(places).all(axis=1), :2]
+    if len(seen) < 2:
+        return 1.0
+    return float(np.sqrt(np.prod(np.ptp(seen, axis=0)) / len(seen))) or 1.0
+
+
+def nice(value: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten up to ``value`` (else 1)."""
+    if not (value > 0 and math.isfinite(value)):
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9))
 
 
 Progress = Callable[[str, float], None]

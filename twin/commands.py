@@ -38,7 +38,7 @@ from twin.parts.methods import Method, WeightRule
 if TYPE_CHECKING:
     from twin.arrays import Progress
     from twin.parts.scene import Scene
-    from twin.study.batch.pool import Scheduler
+    from twin.study.batch.pool import Pool
 
 
 PAGES = (".html", ".htm")
@@ -108,7 +108,7 @@ class _Batch:
         False
     )
 
-    def workers_and_scheduler(self) -> tuple[int, Scheduler | None]:
+    def workers_and_scheduler(self) -> tuple[int, Pool.Scheduler | None]:
         """Return the number of processes, and the scheduler; None without an address.
 
         Raises
@@ -123,9 +123,9 @@ class _Batch:
             if self.tls_ca or self.tls_cert or self.tls_key:
                 raise InputError("--tls-ca, --tls-cert and --tls-key belong to --scheduler")
             return count, None
-        from twin.study.batch.pool import Scheduler
+        from twin.study.batch.pool import Pool
 
-        return count, Scheduler(
+        return count, Pool.Scheduler(
             address=self.scheduler, ca=self.tls_ca, cert=self.tls_cert, key=self.tls_key
         )
 
@@ -661,9 +661,9 @@ def view(
             "--window, away"
         )
     if is_dataset:
-        from twin.study.dataset.reader import view_dataset
+        from twin.study.dataset.reader import DatasetReader
 
-        print(view_dataset(folder, out or Path(f"{folder.name or 'dataset'}.html")))
+        print(DatasetReader(folder).write_sheet(out or Path(f"{folder.name or 'dataset'}.html")))
         return
     from twin.files import make_folder, write_whole
     from twin.study.film import FILMS, write_film

@@ -7,14 +7,13 @@ tabulated, never before.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits
+from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice, spacing
 from twin.errors import MissingCapability
 
 _MAP = "PuOr_r"
@@ -258,20 +257,3 @@ def _in_mm(ax: Any, title: str) -> None:
     ax.set_xlabel("x (mm)")
     ax.set_ylabel("y (mm)")
     ax.set_title(title)
-
-
-def spacing(places: Floats) -> float:
-    """Return about the distance of neighbours among (n, 2 or 3) places, seen along z; rows with NaN
-    are left out."""
-    seen = places[np.isfinite(places).all(axis=1), :2]
-    if len(seen) < 2:
-        return 1.0
-    return float(np.sqrt(np.prod(np.ptp(seen, axis=0)) / len(seen))) or 1.0
-
-
-def nice(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten up to ``value`` (else 1)."""
-    if not (value > 0 and math.isfinite(value)):
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(value))
-    return max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9))

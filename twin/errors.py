@@ -85,10 +85,6 @@ def require(value: object, kind: type | tuple[type, ...], what: str, remedy: str
         )
 
 
-class OutOfBodyError(InputError):
-    """Points lie outside the body."""
-
-
 class MeshError(TwinError):
     """A mesh could not be made, or does not pass the quality gates."""
 

@@ -62,7 +62,6 @@ _UNREADABLE = (
 )
 """Exceptions of numpy and zipfile on damaged archives."""
 
-_pinned: list[Path] = []
 _unkept: list[str] = []
 """Why the cache can't be written, once it is known."""
 
@@ -106,22 +105,26 @@ def kept_if_possible() -> Iterator[None]:
             _unkept.append(reason)
 
 
-def pinned() -> Path | None:
-    """Return the folder that meshes and tables are taken from alone (`pin`), None for none."""
-    return _pinned[-1] if _pinned else None
+class _Pinned:
+    """The ``folder`` that meshes and tables are taken from alone; None for none."""
+
+    folder: Path | None = None
+
+    @contextmanager
+    def to(self, folder: Path) -> Iterator[None]:
+        """Take meshes and tables from ``folder`` alone within this, and make none.
+
+        Why: making a mesh is not deterministic, so a job with reproducible results carries its
+        mesh.
+        """
+        before, self.folder = self.folder, folder
+        try:
+            yield
+        finally:
+            self.folder = before
 
 
-@contextmanager
-def pin(folder: Path) -> Iterator[None]:
-    """Take meshes and tables from ``folder`` alone within this, and make none.
-
-    Why: making a mesh is not deterministic, so a job with reproducible results carries its mesh.
-    """
-    _pinned.append(folder)
-    try:
-        yield
-    finally:
-        _pinned.pop()
+PINNED = _Pinned()
 
 
 def make_folder(folder: Path) -> None:

@@ -123,39 +123,6 @@ class Estimate(Table):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Touch:
-    """The contact under one probe, for pictures; k patches in contact.
-
-    Attributes
-    ----------
-    probe
-        Its kind.
-    place_mm, half_mm
-        (k, 2) centres along the surface from the contact's middle, and half sizes.
-    pressure_mpa, shear_mpa
-        (k,) pressures and (k, 2) tractions along the surface, on the body.
-    slip
-        (k,) whether each patch slips.
-    friction
-        Coefficient; 0 frictionless, inf sticking.
-    expected
-        (n, 2) distance from the middle and pressure by a closed form; empty where there is none.
-    expected_name
-        Name of the closed form.
-    """
-
-    probe: str
-    place_mm: Floats
-    half_mm: Floats
-    pressure_mpa: Floats
-    shear_mpa: Floats
-    slip: Bools
-    friction: float
-    expected: Floats
-    expected_name: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class RunResult:
     """Everything that a run computed; what was not wanted is None.
 
@@ -177,6 +144,39 @@ class RunResult:
     timings
         Seconds by stage, in order.
     """
+
+    @dataclass(frozen=True, kw_only=True)
+    class Touch:
+        """The contact under one probe, for pictures; k patches in contact.
+
+        Attributes
+        ----------
+        probe
+            Its kind.
+        place_mm, half_mm
+            (k, 2) centres along the surface from the contact's middle, and half sizes.
+        pressure_mpa, shear_mpa
+            (k,) pressures and (k, 2) tractions along the surface, on the body.
+        slip
+            (k,) whether each patch slips.
+        friction
+            Coefficient; 0 frictionless, inf sticking.
+        expected
+            (n, 2) distance from the middle and pressure by a closed form; empty where there is
+            none.
+        expected_name
+            Name of the closed form.
+        """
+
+        probe: str
+        place_mm: Floats
+        half_mm: Floats
+        pressure_mpa: Floats
+        shear_mpa: Floats
+        slip: Bools
+        friction: float
+        expected: Floats
+        expected_name: str
 
     scene_toml: str
     truth: Truth | None = None

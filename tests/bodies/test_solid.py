@@ -11,7 +11,7 @@ from stl_shapes import HELD_ABOVE, SENSING_BELOW, box, bracket, solid_box, solid
 from twin.errors import RecipeError
 from twin.parts.body import Solid
 from twin.parts.load import Traction
-from twin.study.recipe import dump_scene, load_scene, validate_scene
+from twin.study.recipe import load_scene, validate_scene
 from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.error_law import error_shares
 from twin.world.mesh.sizing import Sizing, WantedEdge
@@ -44,7 +44,7 @@ def test_the_file_is_found_beside_the_recipe_and_its_digest_goes_with_the_scene(
     scene = load_scene(scene_file)
     assert scene.body.file == str(tmp_path / "shapes" / "box.stl")
     assert len(scene.body.sha256) == 64
-    (tmp_path / "again.toml").write_text(dump_scene(scene))
+    (tmp_path / "again.toml").write_text(scene.to_toml())
     assert load_scene(tmp_path / "again.toml") == scene
     write_stl(tmp_path / "shapes" / "box.stl", box(30, 20, 10.5))
     with pytest.raises(RecipeError, match="the file was changed"):

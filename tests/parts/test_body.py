@@ -7,7 +7,7 @@ from standard_bodies import FINGER
 
 from twin.errors import RecipeError
 from twin.parts.body import Block, Body, Dome, Finger
-from twin.parts.markers import MarkerLayer, place
+from twin.parts.markers import MarkerLayer, MarkerSet
 
 BODIES = [
     Block(width_mm=30, length_mm=20, thickness_mm=10),
@@ -71,7 +71,7 @@ def test_frames_are_right_handed_and_point_inwards(body):
 def test_markers_keep_the_order_layer_s_t():
     grid = {"kind": "print", "pitch_mm": 2, "diameter_mm": 0.5, "columns": 2, "rows": 2, "colour": (1, 0, 0)}
     layers = {"red": MarkerLayer(depth_mm=1, **grid), "blue": MarkerLayer(depth_mm=3, **grid)}
-    markers = place(BODIES[0], layers)
+    markers = MarkerSet.place(BODIES[0], layers)
     assert markers.layer.tolist() == ["red"] * 4 + ["blue"] * 4
     assert markers.points[:4].tolist() == [[-1, -1, 1], [-1, 1, 1], [1, -1, 1], [1, 1, 1]]
     assert markers.points[4:, 2].tolist() == [3] * 4
@@ -84,7 +84,7 @@ def test_markers_keep_the_order_layer_s_t():
 def test_markers_outside_the_body_and_beads_that_overlap_are_refused(depth, pitch, columns, words):
     grid = {"depth_mm": depth, "pitch_mm": pitch, "columns": columns, "rows": 1}
     with pytest.raises(RecipeError, match=words):
-        place(BODIES[0], {"red": MarkerLayer(diameter_mm=0.5, colour=(1, 0, 0), **grid)})
+        MarkerSet.place(BODIES[0], {"red": MarkerLayer(diameter_mm=0.5, colour=(1, 0, 0), **grid)})
 
 
 def test_a_layout_that_fits_the_turned_block_says_so():
@@ -94,7 +94,7 @@ def test_a_layout_that_fits_the_turned_block_says_so():
             kind="print", depth_mm=1, pitch_mm=1.5, diameter_mm=0.5, columns=columns, rows=rows, colour=(0, 0, 0)
         )
         with pytest.raises(RecipeError) as refused:
-            place(block, {"red": layer})
+            MarkerSet.place(block, {"red": layer})
         assert ("exchange body.width_mm" in str(refused.value)) == turned
 
 

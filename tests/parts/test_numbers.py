@@ -7,7 +7,7 @@ from scipy.stats import truncnorm
 
 from twin.errors import RecipeError
 from twin.parts.press import PATCHES_ACROSS
-from twin.parts.scene import FEWEST, LOOSEST, TIGHTEST, Accuracy
+from twin.parts.scene import FEWEST, LOOSEST, TIGHTEST, Scene
 from twin.parts.sweep import GF
 from twin.parts.vary import CUT, Normal
 from twin.study.recipe import load_scene
@@ -87,13 +87,13 @@ AUTO = {"accuracy.displacement": "auto", "accuracy.contact_patches": "auto"}
 
 
 def test_numbers_stay_what_they_are():
-    fixed = Accuracy(displacement=2e-3, contact_patches=20)
+    fixed = Scene.Accuracy(displacement=2e-3, contact_patches=20)
     assert fixed.displacement_for(50.0) == 2e-3
     assert fixed.patches_for([100.0], [0.1]) == 20
 
 
 def test_auto_follows_what_the_scene_leaves_open_within_bounds():
-    auto = Accuracy(displacement="auto", contact_patches="auto")
+    auto = Scene.Accuracy(displacement="auto", contact_patches="auto")
     assert auto.displacement_for(1.5) == pytest.approx(5e-3)
     assert (auto.displacement_for(0.0), auto.displacement_for(50.0)) == (TIGHTEST, LOOSEST)
     assert auto.patches_for([5.0, 2.0], [3.0, 6.0]) == FEWEST, "the deep don't see narrow patches"

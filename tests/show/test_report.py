@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from twin.results import Estimate, RunResult, Touch, Truth
+from twin.results import Estimate, RunResult, Truth
 from twin.show import svg_plots
 from twin.show.html_page import digits
 from twin.show.report import report
@@ -429,7 +429,7 @@ def test_a_browser_shows_it(page: str, tmp_path: Path, width: int) -> None:
 def test_what_is_under_the_probe_is_drawn(full: RunResult, friction: float, words: str) -> None:
     places = grid(4, 4, 0.5, 0.0)[:, :2]
     away = np.hypot(*places.T)
-    under = Touch(
+    under = RunResult.Touch(
         probe="sphere", place_mm=places, half_mm=np.full((16, 2), 0.25), pressure_mpa=1.5 - away,
         shear_mpa=np.tile([0.1, 0.0], (16, 1)), slip=(away > 0.5) | (friction == 0), friction=friction,
         expected=np.column_stack([np.linspace(0, 1.2, 20), np.linspace(1.5, 0, 20)]), expected_name="Hertz",

@@ -24,8 +24,8 @@ from benchmarks.random_scenes import (
 )
 from twin.errors import ContactError, RecipeError
 from twin.parts.press import Cone, Press
-from twin.study.doubts import noise_bound
-from twin.study.recipe import dump_scene, load_scene
+from twin.study.doubts import View
+from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
 
 FOUND = Path(__file__).parent / "found"
@@ -92,7 +92,7 @@ def test_a_wrong_answer_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
         return replace(result, truth=replace(result.truth, total_force_n=result.truth.total_force_n * 1.001))
 
     monkeypatch.setattr(random_scenes, "run_scene", pushed)
-    recipe = tomllib.loads(dump_scene(load_scene("first_press", {"accuracy.contact_patches": 6})))
+    recipe = tomllib.loads(load_scene("first_press", {"accuracy.contact_patches": 6}).to_toml())
     blind = {k: v for k, v in recipe.items() if k not in ("camera", "reconstruction")}
     with pytest.raises(AssertionError, match="off their total"):
         check_valid(blind, Tally())
@@ -152,4 +152,4 @@ def test_black_markers_on_black_ground_have_no_bound_and_no_error() -> None:
     black = {f"markers.{name}.colour": [0.0, 0.0, 0.0] for name in ("red", "blue")}
     black["cover.albedo"] = [0.0, 0.0, 0.0]
     scene = load_scene("kamiyama_pillar", black)
-    assert np.isinf(noise_bound(scene)).all()
+    assert np.isinf(View.noise_bound(scene)).all()

@@ -18,7 +18,7 @@ from benchmarks.extremes import SCENES, cases, extremes, outcome, scene_of
 from benchmarks.random_recipes import Table
 from twin.errors import RecipeError
 from twin.files import make_folder, temporary_folder
-from twin.study.recipe import dump_scene, validate_scene
+from twin.study.recipe import validate_scene
 
 
 @pytest.mark.slow
@@ -129,7 +129,7 @@ DATASET = ("dataset", "small.toml", "--samples", "6", "--out", "out")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    (tmp_path / "small.toml").write_text(dump_scene(twin.load_scene("kamiyama_pillar", SMALL)), encoding="utf-8")
+    (tmp_path / "small.toml").write_text(twin.load_scene("kamiyama_pillar", SMALL).to_toml(), encoding="utf-8")
     return tmp_path
 
 

@@ -8,8 +8,7 @@ import pytest
 
 from twin.errors import AccuracyWarning
 from twin.parts.load import Traction
-from twin.parts.press import Press
-from twin.parts.probe import Object
+from twin.parts.press import Object, Press
 from twin.study.recipe import load_scene
 from twin.study.run import run
 from twin.study.sensor import Sensor

@@ -12,7 +12,7 @@ import twin
 from benchmarks.budget import own_transfer
 from benchmarks.random_recipes import bounds
 from twin.parts.load import Traction
-from twin.parts.scene import Tolerance
+from twin.parts.scene import Scene
 from twin.parts.vary import CUT
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct
@@ -142,12 +142,12 @@ def test_prints_vary_as_told_and_change_no_other_draw() -> None:
     assert Sensor(load_scene("kamiyama_pillar", {**DRAWN, "tolerance.preset": "none"})).actual.prints is None
 
 
-@pytest.mark.parametrize("key", [key for key in Tolerance.model_fields if key.endswith("_pct")])
+@pytest.mark.parametrize("key", [key for key in Scene.Tolerance.model_fields if key.endswith("_pct")])
 def test_no_tolerance_takes_what_is_positive_below_zero(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of Young's modulus was allowed as its standard deviation: one made sensor in fifty had a negative one."""
-    worst = bounds(Tolerance.model_fields[key].metadata)[1]
+    worst = bounds(Scene.Tolerance.model_fields[key].metadata)[1]
     lowest = SimpleNamespace(standard_normal=lambda size=(): np.full(size, -2 * CUT), random=np.zeros)
-    monkeypatch.setattr("twin.study.sensor.stream", lambda *_: lowest)
+    monkeypatch.setattr("twin.parts.scene.Purpose.stream", lambda *_: lowest)
     made = Sensor(load_scene("kamiyama_pillar", {f"tolerance.{key}": worst})).actual
     assert min(made.scene.material.youngs_modulus_mpa, made.scene.camera.focal_px) > 0
     assert made.prints is None or min(made.prints.size.min(), made.prints.shade.min()) > 0

@@ -12,7 +12,7 @@ import pytest
 
 import twin
 from twin.errors import InputError, RecipeError
-from twin.study.doubts import View, doubts, noise_bound
+from twin.study.doubts import View, doubts
 from twin.study.new_scene import Pad
 from twin.study.recipe import load_scene, shipped_scenes
 from twin.study.sensor import Sensor
@@ -55,9 +55,9 @@ def test_beads_wider_than_their_pitch_are_refused():
 
 
 def test_the_noise_of_a_mosaic_video_or_compression_has_no_closed_form():
-    assert noise_bound(load_scene(FLAT)) is not None
+    assert View.noise_bound(load_scene(FLAT)) is not None
     for ccd in ({"bayer": "rggb"}, {"bandwidth_mhz": [4.2, 1.3, 0.4]}, {"jpeg_quality": 85}, {"interlace": True}):
-        assert noise_bound(load_scene(FLAT, {f"ccd.{key}": value for key, value in ccd.items()})) is None
+        assert View.noise_bound(load_scene(FLAT, {f"ccd.{key}": value for key, value in ccd.items()})) is None
 
 
 def test_check_warns(tmp_path, says):

@@ -28,7 +28,7 @@ def test_what_is_known_of_the_markers_outlives_many_contacts(environment, monkey
     def noted(body: Body, points: np.ndarray) -> None:
         located.append(points)
 
-    monkeypatch.setattr("twin.world.elasticity.cache.require_inside", noted)
+    monkeypatch.setattr("twin.parts.shape.Body.require_inside", noted)
     for count in range(2 * REMEMBERED):  # more sets of points than are remembered
         sensor.compliance.displacement(points + 1e-6 * (count + 1), load)
     assert len(located) == 2 * REMEMBERED

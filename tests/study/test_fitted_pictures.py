@@ -12,7 +12,7 @@ from twin.parts.load import Rectangles
 from twin.sense.calibration import read_calibration
 from twin.sense.fit_design import Fit
 from twin.study import calibrate
-from twin.study.calibrate import calibrate_by_presses, calibration_of
+from twin.study.calibrate import calibration_of
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
@@ -32,7 +32,7 @@ def test_five_photographed_presses_tell_the_transfer_matrix(name):
     told = {"seed": 11, "calibration.presses": None, "calibration.file": None}
     sensor = Sensor(load_scene(name, {**told, "calibration.method": "fitted"}))
     drawn = Sensor(load_scene(name, {**told, "calibration.method": "compliance"}))
-    fitted = transfer_error(sensor, calibrate_by_presses(sensor))
+    fitted = transfer_error(sensor, calibration_of(sensor, kept=False))
     nominal = transfer_error(drawn, calibration_of(drawn))
     assert fitted < 0.012
     assert fitted < 0.8 * nominal  # on the finger 0.0070 and 0.0112

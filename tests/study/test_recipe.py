@@ -15,7 +15,7 @@ from standard_bodies import REFERENCE, write_stl
 
 from twin.errors import InputError, RecipeError
 from twin.study.check import check_path
-from twin.study.recipe import dump_scene, load_scene, parse_overrides, shipped_scenes, validate_scene
+from twin.study.recipe import load_scene, parse_overrides, shipped_scenes, validate_scene
 from twin.study.schema import SCHEMA_FILE
 
 SCENES = sorted(shipped_scenes())
@@ -32,7 +32,7 @@ def test_a_file_that_an_editor_marked_as_utf8_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", SCENES)
 def test_resolved_scene_reads_back_the_same(name: str) -> None:
     scene = load_scene(name)
-    assert validate_scene(tomllib.loads(dump_scene(scene)), name) == scene
+    assert validate_scene(tomllib.loads(scene.to_toml()), name) == scene
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -219,9 +219,9 @@ def test_every_kind_of_press_is_read_written_and_fits_the_schema(name: str, tmp_
     recipe.write_text(f'base = "block_bare"\n[press]\n{PRESSES[name]}')
     scene = load_scene(recipe)
     assert scene.press is not None
-    (tmp_path / "again.toml").write_text(dump_scene(scene))
+    (tmp_path / "again.toml").write_text(scene.to_toml())
     assert load_scene(tmp_path / "again.toml") == scene
-    jsonschema.validate(tomllib.loads(dump_scene(scene)), json.loads(SCHEMA_FILE.read_text()))
+    jsonschema.validate(tomllib.loads(scene.to_toml()), json.loads(SCHEMA_FILE.read_text()))
     if name == "stl":
         (tmp_path / "mine.stl").unlink()
         with pytest.raises(RecipeError, match=r"press.probe.file.*no such file"):

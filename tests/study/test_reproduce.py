@@ -26,7 +26,7 @@ from twin.study.reproduce.bench import (
     WAYS,
     Bench,
     Chain,
-    Outcome,
+    Entry,
     Quantity,
     Record,
     Trial,
@@ -150,8 +150,8 @@ def test_markers_are_shifted_by_the_protocols_pixels_along_x(way: Way) -> None:
 def test_names_choose_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[str] = []
 
-    def made(name: str) -> Callable[[Bench], Outcome]:
-        return lambda _: done.append(name) or Outcome(records=())  # type: ignore[func-returns-value]
+    def made(name: str) -> Callable[[Bench], Entry.Outcome]:
+        return lambda _: done.append(name) or Entry.Outcome(records=())  # type: ignore[func-returns-value]
 
     entries = {name: replace(entry, run=made(name)) for name, entry in ENTRIES.items()}
     monkeypatch.setattr("twin.study.reproduce.reproduction_run.ENTRIES", entries)
@@ -191,12 +191,12 @@ def test_the_same_seed_gives_the_same_records_and_one_sensor_each(tmp_path: Path
 def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runs = []
 
-    def run(_: Bench) -> Outcome:
+    def run(_: Bench) -> Entry.Outcome:
         runs.append(1)
         assert all(library["num_threads"] == 1 for library in threadpool_info()), "last digits would hang on cores"
-        return Outcome(records=(Record(quantity=Quantity("q"), twin=1.0),))
+        return Entry.Outcome(records=(Record(quantity=Quantity("q"), twin=1.0),))
 
-    def fails(_: Bench) -> Outcome:
+    def fails(_: Bench) -> Entry.Outcome:
         raise TwinError("the probe fell off")
 
     entries = dict(ENTRIES)

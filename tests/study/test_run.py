@@ -154,7 +154,7 @@ def test_two_points_are_in_the_truth() -> None:
 @pytest.mark.parametrize("name", ["sato_press", "sato_paper"])
 def test_shipped_calibrations_are_of_the_scenes_that_name_them(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A new key of a scene must not make them look like another sensor's: calibrating again takes minutes."""
-    monkeypatch.setattr("twin.study.calibrate.calibrate_by_presses", None)
+    monkeypatch.setattr("twin.study.sensor.Sensor.press", None)
     scene = twin.load_scene(name)
     found = calibration_of(twin.Sensor(scene))
     with np.load(scene.calibration.file) as kept:

@@ -11,8 +11,10 @@ from scipy.special import j0, j1, ndtr
 from standard_bodies import rectangles
 
 from twin.errors import InputError
+from twin.parts.camera import Ccd
 from twin.theory import halfspace, limit
-from twin.theory.limit import Limit, centre_bound, layer_rows, pixel_sd
+from twin.theory.limit import Limit
+from twin.theory.optics import centre_bound
 
 FLAT = dict(
     depth_mm=[[3.0, 6.0]],
@@ -39,7 +41,7 @@ def test_rows_are_the_half_space(nu):
         return quad(lambda k: f(k) * k / (2 * np.pi), 1e-9, 40, limit=400)[0]
 
     def rows(k):
-        return layer_rows(*(np.array(each) for each in (k, depth, g, nu)))
+        return Limit.layer_rows(*(np.array(each) for each in (k, depth, g, nu)))
 
     def aside(k):
         return np.exp(-k * depth) / (g * k)
@@ -181,4 +183,4 @@ def test_the_bound_is_that_of_the_pictures_fisher_information(diameter, psf):
 def test_a_pixels_noise_is_shot_read_and_rounding_noise():
     electrons_per_count = 20000 / 255
     wanted = np.sqrt((110 * electrons_per_count + 12**2) / electrons_per_count**2 + 1 / 12)
-    assert pixel_sd(110.0, 255.0, 20000.0, 12.0) == pytest.approx(wanted)
+    assert Ccd(full_well_e=20000, read_noise_e=12).pixel_sd(110.0) == pytest.approx(wanted)

@@ -382,6 +382,37 @@ class Pieces:
         folded = cosine < np.cos(np.radians(crease_deg))
         return np.asarray(ends[(outward > 0.0) & folded & (own < other)])
 
+    @staticmethod
+    def smooth_parts(surface: Surface, chosen: Bools, crease_deg: float) -> Ints:
+        """Return (m,) numbers of the parts into which the ``chosen`` triangles fall at sharp edges,
+        -1 for the others."""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        corners = surface.vertices[surface.triangles]
+        face = _face_normals(corners)
+        across = _neighbours(surface.triangles)
+        own = np.repeat(np.arange(len(face)), 3)
+        other = across.ravel()
+        joined = chosen[own] & chosen[other]
+        joined &= np.einsum("ei,ei->e", face[own], face[other]) > np.cos(np.radians(crease_deg))
+        graph = coo_matrix(
+            (np.ones(int(joined.sum())), (own[joined], other[joined])), shape=(len(face), len(face))
+        )
+        _, part = connected_components(graph, directed=False)
+        part = np.where(chosen, part, -1)
+        _, number = np.unique(part, return_inverse=True)
+        return np.asarray(number - int((~chosen).any()), np.int64)
+
+    @staticmethod
+    def edge_angles(vertices: Points, triangles: Ints) -> tuple[Floats, Floats]:
+        """Return the angles (m, 3) inside a closed surface between triangles that share an edge,
+        deg, and the ends of these edges (m, 3, 2, 3)."""
+        corners = vertices[triangles]
+        ends, outward, cosine, _, _ = _folds(triangles, corners, _face_normals(corners))
+        turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        return np.where(outward <= 0.0, 180.0 - turned, 180.0 + turned), ends
+
 
 def _sides(triangles: Ints) -> Ints:
     """Return (3 m, 2) directed edges in the order of the triangles, 01, 12, 20."""
@@ -399,15 +430,6 @@ def _neighbours(triangles: Ints) -> Ints:
     sides = _sides(triangles)
     number = {(int(a), int(b)): k // 3 for k, (a, b) in enumerate(sides)}
     return np.array([number[(int(b), int(a))] for a, b in sides], np.int64).reshape(-1, 3)
-
-
-def edge_angles(vertices: Points, triangles: Ints) -> tuple[Floats, Floats]:
-    """Return the angles (m, 3) inside a closed surface between triangles that share an edge, deg,
-    and the ends of these edges (m, 3, 2, 3)."""
-    corners = vertices[triangles]
-    ends, outward, cosine, _, _ = _folds(triangles, corners, _face_normals(corners))
-    turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return np.where(outward <= 0.0, 180.0 - turned, 180.0 + turned), ends
 
 
 def _folds(
@@ -454,25 +476,3 @@ def _feature_normals(triangles: Ints, corners: Floats, piece: Ints) -> tuple[Flo
     border[:, 1:4] = (lowest != highest)[triangles]
     border[:, 4:] = piece[across] != piece[:, None]
     return frozen(outward), frozen(border)
-
-
-def smooth_parts(surface: Surface, chosen: Bools, crease_deg: float) -> Ints:
-    """Return (m,) numbers of the parts into which the ``chosen`` triangles fall at sharp edges, -1
-    for the others."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    corners = surface.vertices[surface.triangles]
-    face = _face_normals(corners)
-    across = _neighbours(surface.triangles)
-    own = np.repeat(np.arange(len(face)), 3)
-    other = across.ravel()
-    joined = chosen[own] & chosen[other]
-    joined &= np.einsum("ei,ei->e", face[own], face[other]) > np.cos(np.radians(crease_deg))
-    graph = coo_matrix(
-        (np.ones(int(joined.sum())), (own[joined], other[joined])), shape=(len(face), len(face))
-    )
-    _, part = connected_components(graph, directed=False)
-    part = np.where(chosen, part, -1)
-    _, number = np.unique(part, return_inverse=True)
-    return np.asarray(number - int((~chosen).any()), np.int64)

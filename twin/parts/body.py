@@ -453,11 +453,11 @@ class Solid(StlFile, Body):
     def _pieces(self) -> Pieces:
         """Triangles by piece: sensing, the smooth parts of the free sides, then those of what is
         held."""
-        from twin.geometry.pieces import Pieces, smooth_parts
+        from twin.geometry.pieces import Pieces
 
         held, sensing = self._held, self._pressed
-        free = smooth_parts(self._surface, ~held & ~sensing, CREASE_DEG)
-        fixed = smooth_parts(self._surface, held, CREASE_DEG)
+        free = Pieces.smooth_parts(self._surface, ~held & ~sensing, CREASE_DEG)
+        fixed = Pieces.smooth_parts(self._surface, held, CREASE_DEG)
         number = np.where(held, int(free.max()) + 2 + fixed, 1 + free)
         return Pieces(self._surface, np.where(sensing, 0, number))
 
@@ -465,10 +465,10 @@ class Solid(StlFile, Body):
     def _sheets(self) -> Pieces:
         """The same triangles by smooth sheet, whatever is pressed or held: sharp edges alone divide
         them."""
-        from twin.geometry.pieces import Pieces, smooth_parts
+        from twin.geometry.pieces import Pieces
 
         everything = np.ones(len(self._surface.triangles), bool)
-        return Pieces(self._surface, smooth_parts(self._surface, everything, CREASE_DEG))
+        return Pieces(self._surface, Pieces.smooth_parts(self._surface, everything, CREASE_DEG))
 
     @cached_property
     def _pieces_of_sheets(self) -> Bools:

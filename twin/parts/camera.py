@@ -338,6 +338,9 @@ class Light(Part):
         return np.repeat(colours / np.maximum(power, 1e-300), each, axis=0).T, even
 
 
+FULL_SCALE = 255
+"""Largest count of a picture."""
+
 Triple = tuple[float, float, float]
 Mosaic = Literal["none", "rggb", "bggr", "grbg", "gbrg"]
 Off = Literal["off"]
@@ -507,7 +510,7 @@ class Ccd(Part):
     full_well_e: float | None = Field(default=None, ge=1, le=1e12)
     gamma: float | None = Field(default=None, ge=0.2, le=5)
     noise: bool | None = None
-    white_dn: float = Field(default=200.0, gt=0, le=255)
+    white_dn: float = Field(default=200.0, gt=0, le=FULL_SCALE)
     crosstalk: float | tuple[Triple, Triple, Triple] = 0.05
     quantum_efficiency: Triple | None = None
     dark_current_e_s: float | None = Field(default=None, ge=0, le=1e9)
@@ -591,6 +594,13 @@ class Ccd(Part):
         preset = PRESETS[self.preset]
         return self.model_copy(update={k: v for k, v in preset.items() if getattr(self, k) is None})
 
+    def pixel_sd(self, counts: float) -> float:
+        """Return the standard deviation of a pixel of so many counts, counts: shot, read and
+        rounding noise."""
+        own = self.spelt_out()
+        gain = own.full_well_e / FULL_SCALE
+        return float(np.sqrt((counts * gain + own.read_noise_e**2) / gain**2 + 1 / 12))
+
     @property
     def response(self) -> Floats:
         """(3, 3) matrix from red, green and blue light to the camera's channels.
@@ -609,7 +619,7 @@ class Ccd(Part):
     def white_level(self) -> float:
         """Light, as a share of full wells, whose count is ``white_dn``, times ``exposure``."""
         full = self.spelt_out()
-        share = max(self.white_dn - full.black_dn, 1.0) / (255 - full.black_dn)
+        share = max(self.white_dn - full.black_dn, 1.0) / (FULL_SCALE - full.black_dn)
         return float(share**full.gamma) * self.exposure
 
 

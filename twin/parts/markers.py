@@ -181,6 +181,22 @@ class MarkerSet:
         (n, 3) unit inward normals of their level sets.
     """
 
+    @dataclass(frozen=True, kw_only=True)
+    class Prints:
+        """How single markers differ from the drawing, apart from their places.
+
+        Attributes
+        ----------
+        size, shade
+            (n,) factors on diameter and reflectance.
+        missing
+            (n,) markers that are not there; they keep their rows.
+        """
+
+        size: Floats
+        shade: Floats
+        missing: Bools
+
     layer: np.ndarray
     chart: Chart
     points: Points
@@ -194,78 +210,63 @@ class MarkerSet:
         where = np.flatnonzero(self.layer == name)
         return slice(int(where[0]), int(where[-1]) + 1) if len(where) else slice(0, 0)
 
+    @staticmethod
+    def place(
+        body: Body, layers: Mapping[str, MarkerLayer], jitter_mm: Floats | None = None
+    ) -> MarkerSet:
+        """Place every marker of ``layers`` in ``body``.
 
-@dataclass(frozen=True, kw_only=True)
-class Prints:
-    """How single markers differ from the drawing, apart from their places.
+        Parameters
+        ----------
+        jitter_mm
+            (n, 2) print errors along (s, t), mm; None for a perfect print.
 
-    Attributes
-    ----------
-    size, shade
-        (n,) factors on diameter and reflectance.
-    missing
-        (n,) markers that are not there; they keep their rows.
-    """
-
-    size: Floats
-    shade: Floats
-    missing: Bools
-
-
-def place(
-    body: Body, layers: Mapping[str, MarkerLayer], jitter_mm: Floats | None = None
-) -> MarkerSet:
-    """Place every marker of ``layers`` in ``body``.
-
-    Parameters
-    ----------
-    jitter_mm
-        (n, 2) print errors along (s, t), mm; None for a perfect print.
-
-    Raises
-    ------
-    RecipeError
-        A marker sticks out of the body, or beads are wider than their pitch.
-    """
-    if not layers:
-        none = frozen(np.zeros((0, 3)))
-        return MarkerSet(layer=np.zeros(0, "U1"), chart=none[:, :2], points=none, normals=none)
-    for name, layer in layers.items():
-        many = max(layer.columns, layer.rows) > 1
-        if layer.kind == "bead" and many and layer.diameter_mm > layer.pitch_mm:
+        Raises
+        ------
+        RecipeError
+            A marker sticks out of the body, or beads are wider than their pitch.
+        """
+        if not layers:
+            none = frozen(np.zeros((0, 3)))
+            return MarkerSet(layer=np.zeros(0, "U1"), chart=none[:, :2], points=none, normals=none)
+        for name, layer in layers.items():
+            many = max(layer.columns, layer.rows) > 1
+            if layer.kind == "bead" and many and layer.diameter_mm > layer.pitch_mm:
+                raise RecipeError(
+                    f"markers.{name}.diameter_mm = {layer.diameter_mm:g} mm: beads can't be wider "
+                    f"than their pitch, pitch_mm = {layer.pitch_mm:g} mm (allowed: up to that): "
+                    "reduce diameter_mm, or set them farther apart"
+                )
+        # All layers in one array, in their order.
+        charts = [layer.chart() for layer in layers.values()]
+        sizes = [len(chart) for chart in charts]
+        chart = np.concatenate(charts)
+        if jitter_mm is not None:
+            chart = chart + jitter_mm
+        names = np.repeat(list(layers), sizes)
+        depth = np.repeat([layer.depth_mm for layer in layers.values()], sizes)
+        radii = [
+            layer.diameter_mm / 2 if layer.kind == "bead" else 0.0 for layer in layers.values()
+        ]
+        points = body.chart_points(chart, depth)
+        # A marker must lie inside the body, and a bead whole.
+        radii_mm = np.repeat(radii, sizes)
+        room = body.piece_distances(points).min(axis=1) - radii_mm
+        bad = (room < 0) | (np.abs(body.depth(points) - depth) > 1e-6)
+        if bad.any():
+            first = int(np.flatnonzero(bad)[0])
+            x, y, z = points[first]
             raise RecipeError(
-                f"markers.{name}.diameter_mm = {layer.diameter_mm:g} mm: beads can't be wider than "
-                f"their pitch, pitch_mm = {layer.pitch_mm:g} mm (allowed: up to that): reduce "
-                "diameter_mm, or set them farther apart"
+                f"markers.{names[first]}: {int(bad.sum())} of {len(points)} markers lie outside "
+                f"the body, the first at ({x:.3g}, {y:.3g}, {z:.3g}) mm: reduce depth_mm, "
+                f"pitch_mm, columns, rows or diameter_mm{_if_turned(body, points, radii_mm)}"
             )
-    # All layers in one array, in their order.
-    charts = [layer.chart() for layer in layers.values()]
-    sizes = [len(chart) for chart in charts]
-    chart = np.concatenate(charts)
-    if jitter_mm is not None:
-        chart = chart + jitter_mm
-    names = np.repeat(list(layers), sizes)
-    depth = np.repeat([layer.depth_mm for layer in layers.values()], sizes)
-    radii = [layer.diameter_mm / 2 if layer.kind == "bead" else 0.0 for layer in layers.values()]
-    points = body.chart_points(chart, depth)
-    # A marker must lie inside the body, and a bead whole.
-    radii_mm = np.repeat(radii, sizes)
-    room = body.piece_distances(points).min(axis=1) - radii_mm
-    bad = (room < 0) | (np.abs(body.depth(points) - depth) > 1e-6)
-    if bad.any():
-        first = int(np.flatnonzero(bad)[0])
-        x, y, z = points[first]
-        raise RecipeError(
-            f"markers.{names[first]}: {int(bad.sum())} of {len(points)} markers lie outside the "
-            f"body, the first at ({x:.3g}, {y:.3g}, {z:.3g}) mm: reduce depth_mm, pitch_mm, "
-            f"columns, rows or diameter_mm{_if_turned(body, points, radii_mm)}"
+        return MarkerSet(
+            layer=frozen(names),
+            chart=frozen(chart),
+            points=frozen(points),
+            normals=frozen(np.array(body.piece_normals(points)[:, 0])),
         )
-    return MarkerSet(
-        layer=frozen(names),
-        chart=frozen(chart),
-        points=frozen(points),
-        normals=frozen(np.array(body.piece_normals(points)[:, 0])),
-    )
 
 
 def _if_turned(body: Body, points: Floats, radii_mm: Floats) -> str:

@@ -173,6 +173,13 @@ class Part(BaseModel):
                     )
         return self
 
+    @staticmethod
+    def keys_of(value: Any) -> Collection[str]:
+        """Return the keys of a plain table or of a description; none of anything else."""
+        if isinstance(value, Mapping):
+            return value.keys()
+        return type(value).model_fields if isinstance(value, Part) else ()
+
     def unsourced(self) -> list[str]:
         """Return the keys that hold numbers given in the recipe and have neither ``source`` nor
         ``assumed``."""
@@ -225,13 +232,6 @@ WORDS = {
     "bool_parsing": "must be true or false",
 }
 """What the validation library's errors say, in the words of a recipe."""
-
-
-def keys_of(value: Any) -> Collection[str]:
-    """Return the keys of a plain table or of a description; none of anything else."""
-    if isinstance(value, Mapping):
-        return value.keys()
-    return type(value).model_fields if isinstance(value, Part) else ()
 
 
 def in_words(error: Mapping[str, Any]) -> str:

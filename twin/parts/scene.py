@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from enum import IntEnum
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -30,7 +31,6 @@ from twin.parts.material import Cover, Material
 from twin.parts.methods import CentreMethod, Method, WeightRule
 from twin.parts.part import LEAST_MM, Part
 from twin.parts.press import FEWEST_PATCHES, INCREMENTS, MOST_PATCHES, PATCHES_ACROSS, Press
-from twin.parts.probe import width_mm
 from twin.parts.vary import CUT, Distribution, flat
 
 SHARE = 1 / 3
@@ -42,101 +42,9 @@ PER_DEPTH = 1.2
 FEWEST, LOOSEST, TIGHTEST = 8, 1e-2, 1e-3
 
 
-class Accuracy(Part):
-    """Error targets.
-
-    Attributes
-    ----------
-    displacement
-        Largest error of a marker's displacement over the largest displacement, or ``auto``.
-    centroid_px
-        Largest error of a marker's place in the noise-free picture, px; ``auto`` balances it
-        against the noise.
-    paths
-        Paths a pixel of ``renderer = "path"``.
-    contact_patches
-        Contact patches across the contact's diameter, or ``auto``.
-    contact_increments
-        With friction: parts of a step in which patches touch or slip, at most.
-    surface_table
-        Whether a curved body's displacements are interpolated between patches solved all over its
-        sensing surface, for many loads: a minute or two once, milliseconds a load afterwards, and
-        a thousandth more of error, which the estimate includes.
-    """
-
-    displacement: Annotated[float, Field(ge=1e-5, le=0.2)] | Literal["auto"] = 5e-3
-    centroid_px: Annotated[float, Field(ge=1e-4, le=1)] | Literal["auto"] = "auto"
-    paths: Annotated[int, Field(ge=1, le=100_000)] = 64
-    contact_patches: Annotated[int, Field(ge=FEWEST_PATCHES, le=MOST_PATCHES)] | Literal["auto"] = (
-        PATCHES_ACROSS
-    )
-    contact_increments: Annotated[int, Field(ge=1, le=64)] = INCREMENTS
-    surface_table: bool = False
-
-    def displacement_for(self, modulus_pct: float) -> float:
-        """Return the largest error of displacements of a sensor whose Young's modulus is known to
-        so many percent."""
-        if not isinstance(self.displacement, str):
-            return self.displacement
-        return min(max(SHARE * modulus_pct / 100, TIGHTEST), LOOSEST)
-
-    def patches_for(self, widths_mm: Sequence[float], depths_mm: Sequence[float]) -> int:
-        """Return the contact patches across probes of given widths, over markers at given depths,
-        mm."""
-        if not isinstance(self.contact_patches, str):
-            return self.contact_patches
-        if not widths_mm or not depths_mm:
-            return PATCHES_ACROSS
-        return math.ceil(
-            min(max(PER_DEPTH * max(widths_mm) / min(depths_mm), FEWEST), PATCHES_ACROSS)
-        )
-
-
+Across = Annotated[int, Field(ge=FEWEST_PATCHES, le=MOST_PATCHES)]
 Percent = Annotated[float, Field(ge=0, le=30)]
 """Of a number that is positive, and stays so: the largest, `CUT` times, leaves a quarter of it."""
-
-
-class Tolerance(Part):
-    """Standard deviations (normal, cut at 2.5) of what a maker does not control.
-
-    Attributes
-    ----------
-    preset
-        ``standard`` uses the numbers below; ``none`` makes the sensor exactly as drawn (for tests).
-    youngs_modulus_pct
-        Of Young's modulus, percent.
-    poisson_ratio
-        Of the shortfall of Poisson's ratio below the nominal value (never above 0.5).
-    depth_mm
-        Of each marker layer's depth.
-    print_mm
-        Of each marker's place along the surface.
-    print_diameter_pct, print_shade_pct
-        Of each marker's diameter and of its reflectance, percent.
-    missing
-        Share of markers that the maker lost (not a standard deviation).
-    pupil_mm
-        Of each coordinate of the entrance pupil.
-    tilt_deg
-        Of each of the camera's small rotations.
-    focal_pct
-        Of the focal length, percent.
-    distortion
-        Of the lens's first radial coefficient.
-    """
-
-    preset: Literal["standard", "none"] = "standard"
-    youngs_modulus_pct: Percent = 1.5
-    poisson_ratio: float = Field(default=0.001, ge=0, le=0.2)
-    depth_mm: float = Field(default=0.03, ge=0, le=5)
-    print_mm: float = Field(default=0.03, ge=0, le=2)
-    print_diameter_pct: Percent = 0.0
-    print_shade_pct: Percent = 0.0
-    missing: float = Field(default=0.0, ge=0, le=1)
-    pupil_mm: float = Field(default=0.1, ge=0, le=10)
-    tilt_deg: float = Field(default=0.1, ge=0, le=10)
-    focal_pct: float = Field(default=0.3, ge=0, le=10)
-    distortion: float = Field(default=0.0, ge=0, le=0.2)
 
 
 class Sites(Part):
@@ -170,128 +78,24 @@ class Sites(Part):
         return grid_points(*self.axes())
 
 
-class Tracking(Part):
-    """How marker centres are measured.
+class Purpose(IntEnum):
+    """What random numbers are drawn for; the values are part of the file format, never reuse one.
 
-    Attributes
-    ----------
-    method
-        ``disc-fit``: the marker's picture at rest is fitted, near the Cramer-Rao bound;
-        ``soft-window``: centroid in a window with soft edges, on a levelled signal; ``two-pass``:
-        the flat paper's mesh centroid of its red-blue difference (sections 2.1 and 4.1), its cell
-        as wide as the pitch.
+    Every purpose and index has a stream of its own under one root seed: a draw more for one changes
+    no other, and a press draws the same noise whatever was computed before.
     """
 
-    method: CentreMethod = "disc-fit"
+    PRINT = 0
+    TOLERANCE = 1
+    EXPOSURE = 2
+    LOAD_CELL = 3
+    SAMPLING = 4
+    SENSOR_PATTERN = 5
+    SENSOR = 6
 
-
-class Calibration(Part):
-    """Where the transfer matrix (px/N) comes from.
-
-    Attributes
-    ----------
-    method
-        ``compliance``: the nominal body's compliance seen through the nominal camera;
-        ``halfspace``: the papers' half-space formula; ``sato``: measured presses at every site in
-        three directions; ``fitted``: the nominal design with stiffness, depths, print, camera and
-        footprint fitted to a few presses and the rest picture.
-    file
-        A calibration file made earlier (``twin calibrate``), relative to the recipe; used only
-        while it matches the scene.
-    presses
-        Where presses are made. If not given, method ``sato`` presses the reconstruction's sites,
-        and ``fitted`` their middle and four places halfway to their corners. Under ``sato`` sites
-        between the presses are filled by the nominal body's response plus the interpolated
-        difference of measurement and nominal response.
-    press_force_n
-        Force along z of the calibration presses.
-    press_probe_mm
-        Diameter of the calibration sphere.
-    load_cell_n
-        Standard deviation of each force component read by the load cell.
-    """
-
-    method: Literal["compliance", "halfspace", "sato", "fitted"] = "compliance"
-    file: str | None = None
-    presses: Sites | None = None
-    press_force_n: float = Field(default=0.980665, gt=0, le=100)
-    press_probe_mm: float = Field(default=3.0, ge=LEAST_MM, le=100)
-    load_cell_n: float = Field(default=0.005, ge=0, le=1)
-
-
-class Reconstruction(Part):
-    """How the inverse problem is solved.
-
-    Attributes
-    ----------
-    sites
-        Where forces are reconstructed.
-    method
-        ``smooth``: differences of neighbouring forces are kept small (the flat paper's eq. 11 and
-        12, corrected); ``norm``: the forces themselves (eq. 14 and 15); ``pinv``: the plain
-        pseudo-inverse; ``local``: as ``smooth``, with forces expected only where a first solution
-        has some: sharper, better totals, slower.
-    weight
-        The papers' omega; ``auto`` chooses it by marginal likelihood and robust cross-validation,
-        ``likelihood`` and ``gcv`` by one of them.
-    push_only
-        No site pulls: the force along the inward normal is at least 0 (eq. 13).
-    friction
-        Coulomb's coefficient that bounds the tangential force at every site; no bound if not given.
-    robust
-        Leave wrong vectors out.
-    camera
-        Follow the camera's bend where forces are large (calibration methods compliance and fitted).
-    frames_per_second
-        Rate of pictures that follow each other: forces are found of rubber that relaxes, as
-        `material.relaxation` states. Without it every picture is read by itself, as one of elastic
-        rubber.
-    """
-
-    sites: Sites
-    method: Method = "smooth"
-    weight: Annotated[float, Field(ge=0)] | WeightRule = "auto"
-    push_only: bool = False
-    friction: float | None = Field(default=None, gt=0, le=100)
-    robust: bool = False
-    camera: bool = False
-    frames_per_second: float | None = Field(default=None, gt=0, le=1e6)
-
-    def options(self) -> dict[str, Any]:
-        """Return the options of `twin.sense.reconstruct.reconstruct`, by name."""
-        return self.model_dump(exclude={"sites", "frames_per_second", "source", "assumed"})
-
-
-class Dataset(Part):
-    """How ``twin dataset`` draws and stores samples of a scene.
-
-    Attributes
-    ----------
-    sampling
-        ``stratified``: a scrambled Sobol' sequence, which fills the space of what varies more
-        evenly; ``random``: independent draws. Either way a sample is known from the scene's seed
-        and its number alone.
-    samples_per_sensor
-        After how many samples the next sensor is made: keys in ``[vary]`` that do not begin with
-        ``press.``, and the tolerances, are drawn once for each sensor. Every sensor has one rest
-        picture.
-    samples_per_shard
-        Samples in one file; what is lost at most when a worker is killed.
-    every_step
-        Keep the state after every step of a press's path, not just the last.
-    sites
-        Grid over the surface into whose cells tractions are summed; every contact must lie inside
-        it.
-    columns
-        Which columns are kept (all if empty); what none of them needs is not computed.
-    """
-
-    sampling: Literal["stratified", "random"] = "stratified"
-    samples_per_sensor: int = Field(default=1000, ge=1, le=10**9)
-    samples_per_shard: int = Field(default=64, ge=1, le=100_000)
-    every_step: bool = False
-    sites: Sites | None = None
-    columns: tuple[str, ...] = ()
+    def stream(self, seed: int, index: int = 0) -> np.random.Generator:
+        """Return the generator of this purpose number ``index`` under the root ``seed``."""
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(self), index)))
 
 
 class Scene(Part):
@@ -332,6 +136,218 @@ class Scene(Part):
     0.5
     """
 
+    class Accuracy(Part):
+        """Error targets.
+
+        Attributes
+        ----------
+        displacement
+            Largest error of a marker's displacement over the largest displacement, or ``auto``.
+        centroid_px
+            Largest error of a marker's place in the noise-free picture, px; ``auto`` balances it
+            against the noise.
+        paths
+            Paths a pixel of ``renderer = "path"``.
+        contact_patches
+            Contact patches across the contact's diameter, or ``auto``.
+        contact_increments
+            With friction: parts of a step in which patches touch or slip, at most.
+        surface_table
+            Whether a curved body's displacements are interpolated between patches solved all over
+            its sensing surface, for many loads: a minute or two once, milliseconds a load
+            afterwards, and a thousandth more of error, which the estimate includes.
+        """
+
+        displacement: Annotated[float, Field(ge=1e-5, le=0.2)] | Literal["auto"] = 5e-3
+        centroid_px: Annotated[float, Field(ge=1e-4, le=1)] | Literal["auto"] = "auto"
+        paths: Annotated[int, Field(ge=1, le=100_000)] = 64
+        contact_patches: Across | Literal["auto"] = PATCHES_ACROSS
+        contact_increments: Annotated[int, Field(ge=1, le=64)] = INCREMENTS
+        surface_table: bool = False
+
+        def displacement_for(self, modulus_pct: float) -> float:
+            """Return the largest error of displacements of a sensor whose Young's modulus is known
+            to so many percent."""
+            if not isinstance(self.displacement, str):
+                return self.displacement
+            return min(max(SHARE * modulus_pct / 100, TIGHTEST), LOOSEST)
+
+        def patches_for(self, widths_mm: Sequence[float], depths_mm: Sequence[float]) -> int:
+            """Return the contact patches across probes of given widths, over markers at given
+            depths, mm."""
+            if not isinstance(self.contact_patches, str):
+                return self.contact_patches
+            if not widths_mm or not depths_mm:
+                return PATCHES_ACROSS
+            return math.ceil(
+                min(max(PER_DEPTH * max(widths_mm) / min(depths_mm), FEWEST), PATCHES_ACROSS)
+            )
+
+    class Tolerance(Part):
+        """Standard deviations (normal, cut at 2.5) of what a maker does not control.
+
+        Attributes
+        ----------
+        preset
+            ``standard`` uses the numbers below; ``none`` makes the sensor exactly as drawn (for
+            tests).
+        youngs_modulus_pct
+            Of Young's modulus, percent.
+        poisson_ratio
+            Of the shortfall of Poisson's ratio below the nominal value (never above 0.5).
+        depth_mm
+            Of each marker layer's depth.
+        print_mm
+            Of each marker's place along the surface.
+        print_diameter_pct, print_shade_pct
+            Of each marker's diameter and of its reflectance, percent.
+        missing
+            Share of markers that the maker lost (not a standard deviation).
+        pupil_mm
+            Of each coordinate of the entrance pupil.
+        tilt_deg
+            Of each of the camera's small rotations.
+        focal_pct
+            Of the focal length, percent.
+        distortion
+            Of the lens's first radial coefficient.
+        """
+
+        preset: Literal["standard", "none"] = "standard"
+        youngs_modulus_pct: Percent = 1.5
+        poisson_ratio: float = Field(default=0.001, ge=0, le=0.2)
+        depth_mm: float = Field(default=0.03, ge=0, le=5)
+        print_mm: float = Field(default=0.03, ge=0, le=2)
+        print_diameter_pct: Percent = 0.0
+        print_shade_pct: Percent = 0.0
+        missing: float = Field(default=0.0, ge=0, le=1)
+        pupil_mm: float = Field(default=0.1, ge=0, le=10)
+        tilt_deg: float = Field(default=0.1, ge=0, le=10)
+        focal_pct: float = Field(default=0.3, ge=0, le=10)
+        distortion: float = Field(default=0.0, ge=0, le=0.2)
+
+    class Tracking(Part):
+        """How marker centres are measured.
+
+        Attributes
+        ----------
+        method
+            ``disc-fit``: the marker's picture at rest is fitted, near the Cramer-Rao bound;
+            ``soft-window``: centroid in a window with soft edges, on a levelled signal;
+            ``two-pass``: the flat paper's mesh centroid of its red-blue difference (sections 2.1
+            and 4.1), its cell as wide as the pitch.
+        """
+
+        method: CentreMethod = "disc-fit"
+
+    class Calibration(Part):
+        """Where the transfer matrix (px/N) comes from.
+
+        Attributes
+        ----------
+        method
+            ``compliance``: the nominal body's compliance seen through the nominal camera;
+            ``halfspace``: the papers' half-space formula; ``sato``: measured presses at every site
+            in three directions; ``fitted``: the nominal design with stiffness, depths, print,
+            camera and footprint fitted to a few presses and the rest picture.
+        file
+            A calibration file made earlier (``twin calibrate``), relative to the recipe; used only
+            while it matches the scene.
+        presses
+            Where presses are made. If not given, method ``sato`` presses the reconstruction's
+            sites, and ``fitted`` their middle and four places halfway to their corners. Under
+            ``sato`` sites between the presses are filled by the nominal body's response plus the
+            interpolated difference of measurement and nominal response.
+        press_force_n
+            Force along z of the calibration presses.
+        press_probe_mm
+            Diameter of the calibration sphere.
+        load_cell_n
+            Standard deviation of each force component read by the load cell.
+        """
+
+        method: Literal["compliance", "halfspace", "sato", "fitted"] = "compliance"
+        file: str | None = None
+        presses: Sites | None = None
+        press_force_n: float = Field(default=0.980665, gt=0, le=100)
+        press_probe_mm: float = Field(default=3.0, ge=LEAST_MM, le=100)
+        load_cell_n: float = Field(default=0.005, ge=0, le=1)
+
+    class Reconstruction(Part):
+        """How the inverse problem is solved.
+
+        Attributes
+        ----------
+        sites
+            Where forces are reconstructed.
+        method
+            ``smooth``: differences of neighbouring forces are kept small (the flat paper's eq. 11
+            and 12, corrected); ``norm``: the forces themselves (eq. 14 and 15); ``pinv``: the plain
+            pseudo-inverse; ``local``: as ``smooth``, with forces expected only where a first
+            solution has some: sharper, better totals, slower.
+        weight
+            The papers' omega; ``auto`` chooses it by marginal likelihood and robust
+            cross-validation, ``likelihood`` and ``gcv`` by one of them.
+        push_only
+            No site pulls: the force along the inward normal is at least 0 (eq. 13).
+        friction
+            Coulomb's coefficient that bounds the tangential force at every site; no bound if not
+            given.
+        robust
+            Leave wrong vectors out.
+        camera
+            Follow the camera's bend where forces are large (calibration methods compliance and
+            fitted).
+        frames_per_second
+            Rate of pictures that follow each other: forces are found of rubber that relaxes, as
+            `material.relaxation` states. Without it every picture is read by itself, as one of
+            elastic rubber.
+        """
+
+        sites: Sites
+        method: Method = "smooth"
+        weight: Annotated[float, Field(ge=0)] | WeightRule = "auto"
+        push_only: bool = False
+        friction: float | None = Field(default=None, gt=0, le=100)
+        robust: bool = False
+        camera: bool = False
+        frames_per_second: float | None = Field(default=None, gt=0, le=1e6)
+
+        def options(self) -> dict[str, Any]:
+            """Return the options of `twin.sense.reconstruct.reconstruct`, by name."""
+            return self.model_dump(exclude={"sites", "frames_per_second", "source", "assumed"})
+
+    class Dataset(Part):
+        """How ``twin dataset`` draws and stores samples of a scene.
+
+        Attributes
+        ----------
+        sampling
+            ``stratified``: a scrambled Sobol' sequence, which fills the space of what varies more
+            evenly; ``random``: independent draws. Either way a sample is known from the scene's
+            seed and its number alone.
+        samples_per_sensor
+            After how many samples the next sensor is made: keys in ``[vary]`` that do not begin
+            with ``press.``, and the tolerances, are drawn once for each sensor. Every sensor has
+            one rest picture.
+        samples_per_shard
+            Samples in one file; what is lost at most when a worker is killed.
+        every_step
+            Keep the state after every step of a press's path, not just the last.
+        sites
+            Grid over the surface into whose cells tractions are summed; every contact must lie
+            inside it.
+        columns
+            Which columns are kept (all if empty); what none of them needs is not computed.
+        """
+
+        sampling: Literal["stratified", "random"] = "stratified"
+        samples_per_sensor: int = Field(default=1000, ge=1, le=10**9)
+        samples_per_shard: int = Field(default=64, ge=1, le=100_000)
+        every_step: bool = False
+        sites: Sites | None = None
+        columns: tuple[str, ...] = ()
+
     title: str = ""
     seed: int = Field(default=1, ge=0, le=2**63 - 1)
     body: AnyBody
@@ -355,7 +371,7 @@ class Scene(Part):
     @field_validator("vary", mode="before")
     @classmethod
     def _by_dotted_key(cls, value: Any) -> Any:
-        return flat(value) if isinstance(value, dict) else value
+        return flat(value) if value and isinstance(value, dict) else value
 
     def __repr__(self) -> str:
         return one_line("Scene", [f"{k} {v}" for k, v in self._rows().items() if v])
@@ -381,6 +397,18 @@ class Scene(Part):
             "camera": f"{camera.width_px} x {camera.height_px} px" if camera is not None else "",
             "press": press.probe.kind if press is not None else "",
         }
+
+    def to_toml(self) -> str:
+        """Return the scene as TOML; reading it back gives the same scene."""
+        import tomli_w
+
+        return tomli_w.dumps(_plain(self.model_dump(mode="python", exclude_none=True)))
+
+    @property
+    def window_middle_mm(self) -> float:
+        """Height of the middle of the layers between body and camera, mm."""
+        camera, _, base = self.optics
+        return base + sum(layer.thickness_mm for layer in camera.layers) / 2
 
     @property
     def imaging(self) -> tuple[Camera, Light]:
@@ -410,11 +438,8 @@ class Scene(Part):
     @property
     def contact_patches(self) -> int:
         """Contact patches across the contact's diameter that the scene requests."""
-        widths = (
-            []
-            if self.press is None
-            else [width_mm(each.probe) for each in (self.press, *self.press.also)]
-        )
+        presses = () if self.press is None else (self.press, *self.press.also)
+        widths = [each.width_mm for each in presses]
         return self.accuracy.patches_for(
             widths, [layer.depth_mm for layer in self.markers.values()]
         )
@@ -469,3 +494,16 @@ class Scene(Part):
                     "[[material.relaxation]], or leave it out"
                 )
         return self
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {
+            k: _plain(v) for k, v in value.items() if not (k in ("source", "assumed") and not v)
+        }
+    if isinstance(value, tuple | list):
+        # a step's (None, None, 1.0): TOML has no null, the table form leaves components out
+        if any(v is None for v in value):
+            return {axis: v for axis, v in zip("xyz", value, strict=True) if v is not None}
+        return [_plain(v) for v in value]
+    return value

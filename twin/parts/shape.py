@@ -15,11 +15,14 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from twin.arrays import Bools, Chart, Floats, Ints, Points
+from twin.arrays import Bools, Chart, Floats, Ints, Points, coordinates
 from twin.errors import InputError
 from twin.files import file_digest
 from twin.geometry.closed import Surface
 from twin.parts.part import Part
+
+_FORGIVEN = 1e-6
+"""How far outside the body, in mm, a point still counts as on its surface."""
 
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 
@@ -176,6 +179,43 @@ class Body(Part):
         """Return (n,) whether each point is at least ``margin_mm`` inside (a negative margin
         forgives round-off)."""
         return np.asarray(np.all(self.piece_distances(points) >= margin_mm, axis=1))
+
+    def surface_samples(self, spacing_mm: float) -> Points:
+        """Return (n, 3) points on the body's surface, mm, about ``spacing_mm`` apart, by casting
+        rays from its middle."""
+        low, high = np.array(self.bounds_mm)
+        middle, reach = (low + high) / 2, float(np.linalg.norm(high - low))
+        count = int(4 * np.pi * (reach / 2 / spacing_mm) ** 2) + 200
+        height = 1 - (2 * np.arange(count) + 1) / count
+        turn = np.pi * (1 + 5**0.5) * np.arange(count)
+        ring = np.sqrt(1 - height**2)
+        direction = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
+        inside, outside = np.zeros(count), np.full(count, reach)
+        for _ in range(60):
+            trial = (inside + outside) / 2
+            within = self.contains(middle + trial[:, None] * direction)
+            inside, outside = np.where(within, trial, inside), np.where(within, outside, trial)
+        return np.asarray(middle + inside[:, None] * direction)
+
+    def require_inside(self, points: Points) -> None:
+        """Raise an `InputError`, naming the first offender, unless ``points`` (n, 3) are all in the
+        body or on it."""
+        points = np.asarray(points, float)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InputError(f"points must have the shape (n, 3), got {points.shape}")
+        distances = self.piece_distances(points)
+        outside = ~(np.min(distances, axis=1) >= -_FORGIVEN)
+        if not np.any(outside):
+            return
+        first = int(np.argmax(outside))
+        piece = int(np.argmin(distances[first]))
+        place = coordinates(points[first])
+        low, high = self.bounds_mm
+        raise InputError(
+            f"point {first} at ({place}) mm is {-distances[first, piece]:.3g} mm outside the body, "
+            f"beyond its {self.pieces[piece]} face ({int(outside.sum())} of {len(points)} points "
+            f"are); the body lies between {low} and {high} mm"
+        )
 
     def frames(self, points: Points) -> Floats:
         """Return (n, 3, 3) right-handed frames at surface points: rows are tangent s, tangent t,

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from twin.arrays import Floats
-from twin.parts.part import Part, keys_of
+from twin.parts.part import Part
 from twin.parts.vary import Follows, flat
 
 Fidelity = Literal["closed", "linear", "full"]
@@ -31,92 +31,11 @@ METRICS = {
 """What designs are judged by; of all of them less is better."""
 
 
-class Values(Part):
-    """An axis of listed values.
-
-    Attributes
-    ----------
-    values
-        Numbers, texts or lists: what a scene allows there.
-    """
-
-    values: tuple[Any, ...] = Field(min_length=1)
-
-    @model_validator(mode="after")
-    def _finite(self) -> Values:
-        if any(isinstance(each, float) and not math.isfinite(each) for each in self.values):
-            raise ValueError("its numbers must be finite")
-        return self
-
-    def grid(self, default: int) -> list[Any]:
-        """Return the axis's values on a grid."""
-        return list(self.values)
-
-    def at(self, u: Floats) -> list[Any]:
-        """Return the values of (m,) numbers in [0, 1)."""
-        count = len(self.values)
-        return [self.values[min(int(each * count), count - 1)] for each in u]
-
-
-class Range(Part):
-    """An axis between two numbers.
-
-    Attributes
-    ----------
-    low, high
-        Its ends.
-    steps
-        How many values a grid takes of it.
-    log
-        Even in the logarithm.
-    whole
-        Round to whole numbers.
-    """
-
-    low: float
-    high: float
-    steps: int = Field(default=5, ge=1, le=10_000)
-    log: bool = False
-    whole: bool = False
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Range:
-        if self.low > self.high:
-            raise ValueError(f"low = {self.low:g} must not be above high = {self.high:g}")
-        if self.log and self.low <= 0:
-            raise ValueError(f"low = {self.low:g}: with log = true it must be greater than 0")
-        return self
-
-    def grid(self, default: int) -> list[Any]:
-        """Return the axis's values on a grid."""
-        return self.at(np.linspace(0.0, 1.0, self.steps) if self.steps > 1 else np.array([0.5]))
-
-    def at(self, u: Floats) -> list[Any]:
-        """Return the values of (m,) numbers in [0, 1]."""
-        value = self.low + (self.high - self.low) * u
-        if self.log:
-            value = self.low * (self.high / self.low) ** u
-        value = np.clip(value, self.low, self.high)
-        if self.whole:
-            return [int(v) for v in np.rint(value)]
-        return [float(f"{v:.12g}") for v in value]  # round numbers, not 1.7000000000000002
-
-
 def _kind(value: Any) -> str | None:
-    keys = keys_of(value)
+    keys = Part.keys_of(value)
     if "values" in keys:
         return "[values]"
     return "[range]" if "low" in keys or "high" in keys else None
-
-
-Axis = Annotated[
-    Annotated[Values, Tag("[values]")] | Annotated[Range, Tag("[range]")],
-    Discriminator(
-        _kind,
-        custom_error_type="no_axis",
-        custom_error_message="must be a list, or {low, high, steps, log}",
-    ),
-]
 
 
 class Sweep(Part):
@@ -157,6 +76,75 @@ class Sweep(Part):
     targets, weights
         What is asked, by metric, and how much each counts; see `METRICS`.
     """
+
+    class Values(Part):
+        """An axis of listed values.
+
+        Attributes
+        ----------
+        values
+            Numbers, texts or lists: what a scene allows there.
+        """
+
+        values: tuple[Any, ...] = Field(min_length=1)
+
+        @model_validator(mode="after")
+        def _finite(self) -> Sweep.Values:
+            if any(isinstance(each, float) and not math.isfinite(each) for each in self.values):
+                raise ValueError("its numbers must be finite")
+            return self
+
+        def grid(self, default: int) -> list[Any]:
+            """Return the axis's values on a grid."""
+            return list(self.values)
+
+        def at(self, u: Floats) -> list[Any]:
+            """Return the values of (m,) numbers in [0, 1)."""
+            count = len(self.values)
+            return [self.values[min(int(each * count), count - 1)] for each in u]
+
+    class Range(Part):
+        """An axis between two numbers.
+
+        Attributes
+        ----------
+        low, high
+            Its ends.
+        steps
+            How many values a grid takes of it.
+        log
+            Even in the logarithm.
+        whole
+            Round to whole numbers.
+        """
+
+        low: float
+        high: float
+        steps: int = Field(default=5, ge=1, le=10_000)
+        log: bool = False
+        whole: bool = False
+
+        @model_validator(mode="after")
+        def _ordered(self) -> Sweep.Range:
+            if self.low > self.high:
+                raise ValueError(f"low = {self.low:g} must not be above high = {self.high:g}")
+            if self.log and self.low <= 0:
+                raise ValueError(f"low = {self.low:g}: with log = true it must be greater than 0")
+            return self
+
+        def grid(self, default: int) -> list[Any]:
+            """Return the axis's values on a grid."""
+            return self.at(np.linspace(0.0, 1.0, self.steps) if self.steps > 1 else np.array([0.5]))
+
+        def at(self, u: Floats) -> list[Any]:
+            """Return the values of (m,) numbers in [0, 1]."""
+            value = self.low + (self.high - self.low) * u
+            if self.log:
+                value = self.low * (self.high / self.low) ** u
+            value = np.clip(value, self.low, self.high)
+            if self.whole:
+                return [int(v) for v in np.rint(value)]
+            return [float(f"{v:.12g}") for v in value]  # round numbers, not 1.7000000000000002
 
     class Loads(Part):
         """What pushes on every design: square patches under even traction, the same for all.
@@ -240,7 +228,17 @@ class Sweep(Part):
     scene: str
     seed: int = Field(default=1, ge=0, le=2**63 - 1)
     set: dict[str, Any] = Field(default_factory=dict)
-    axes: dict[str, Axis] = Field(min_length=1)
+    axes: dict[
+        str,
+        Annotated[
+            Annotated[Values, Tag("[values]")] | Annotated[Range, Tag("[range]")],
+            Discriminator(
+                _kind,
+                custom_error_type="no_axis",
+                custom_error_message="must be a list, or {low, high, steps, log}",
+            ),
+        ],
+    ] = Field(min_length=1)
     derived: dict[str, Follows] = Field(default_factory=dict)
     fidelity: tuple[Fidelity, ...] = Field(default=("closed", "linear"), min_length=1)
     sampling: Literal["grid", "latin", "sobol", "random"] = "grid"
@@ -308,7 +306,7 @@ class Sweep(Part):
         if self.sampling != "grid":
             return self.count
         sizes = [
-            axis.steps if isinstance(axis, Range) else len(axis.values)
+            axis.steps if isinstance(axis, Sweep.Range) else len(axis.values)
             for axis in self.axes.values()
         ]
         return int(np.prod(sizes, dtype=object))

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
 from twin.arrays import Floats
-from twin.parts.part import Part, in_words, keys_of
+from twin.parts.part import Part, in_words
 
 CUT = 2.5
 """Standard deviations beyond which there are none: a maker rejects worse ones."""
@@ -218,7 +218,7 @@ class Follows(Part):
 
 
 def _kind(value: Any) -> str | None:
-    keys = keys_of(value)
+    keys = Part.keys_of(value)
     return next((kind for kind, marks in _MARKS.items() if any(m in keys for m in marks)), None)
 
 

@@ -64,6 +64,12 @@ class Flaws:
             picture = _repaired(picture, self.bad)
         return picture if self.blocks is None else _interpolate_colours(picture, self.blocks)
 
+    @staticmethod
+    def repeats_blocks(before: Picture, picture: Picture) -> bool:
+        """Return whether blocks of a picture (h, w, 3) are those of the picture ``before``."""
+        least = min(_share_repeated(before, picture, begin) for begin in (0, BLOCK // 2))
+        return bool(REPEATED < least < SAME_PICTURE)
+
 
 def as_picture(image: NDArray[np.generic], what: str) -> Picture:
     """Return ``image`` as a contiguous (h, w, 3) picture in counts of 255, singles if it has 16
@@ -191,12 +197,6 @@ SAME_PICTURE = 0.9
 DARK_DN = 24
 """Blocks that are nowhere brighter do not count: compression rounds the noise of dark ground away.
 Nor do those that are all of one level."""
-
-
-def repeats_blocks(before: Picture, picture: Picture) -> bool:
-    """Return whether blocks of a picture (h, w, 3) are those of the picture ``before``."""
-    least = min(_share_repeated(before, picture, begin) for begin in (0, BLOCK // 2))
-    return bool(REPEATED < least < SAME_PICTURE)
 
 
 @njit(cache=True)

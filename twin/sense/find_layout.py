@@ -74,67 +74,6 @@ them. Measured: .02 to .06 on drawn and rendered sensors, .3 to .4 on dots witho
 
 
 @dataclass(frozen=True, kw_only=True)
-class FoundLayer:
-    """The dots of one colour, and the lattice that they form.
-
-    Attributes
-    ----------
-    centre_px
-        (n, 2) centres, px (column, row), by column, then by row.
-    index
-        (n, 2) column, counted from the left, and row, counted from the bottom, of every dot: from 0
-        on. Odd rows of a hexagonal lattice lie half a pitch to the right.
-    lattice
-        ``square`` or ``hexagonal``.
-    pitch_px
-        Distance of neighbouring dots, px: the mean over the layer.
-    diameter_px
-        Median width of the dots, px.
-    angle_deg
-        Turn of the rows against the picture's, from column towards row, degrees.
-    colour_dn, ground_dn
-        (3,) counts of red, green and blue in the dots' middle, and around them.
-    polarity
-        ``bright`` or ``dark`` dots on their ground.
-    weights
-        (r, g, b) such that r R + g G + b B is large on the dots.
-    """
-
-    centre_px: Pixels
-    index: NDArray[np.int64]
-    lattice: Literal["square", "hexagonal"]
-    pitch_px: float
-    diameter_px: float
-    angle_deg: float
-    colour_dn: Floats
-    ground_dn: Floats
-    polarity: Literal["bright", "dark"]
-    weights: Weights
-
-    def __len__(self) -> int:
-        return len(self.centre_px)
-
-    def __repr__(self) -> str:
-        facts = [
-            f"{len(self)} {self.polarity} dots",
-            f"{self.columns} columns x {self.rows} rows",
-            f"{self.lattice}, pitch {self.pitch_px:.4g} px",
-            f"diameter {self.diameter_px:.3g} px",
-        ]
-        return one_line("FoundLayer", facts)
-
-    @property
-    def columns(self) -> int:
-        """Number of columns that show a dot or lie between two that do."""
-        return int(self.index[:, 0].max()) + 1
-
-    @property
-    def rows(self) -> int:
-        """Number of rows that show a dot or lie between two that do."""
-        return int(self.index[:, 1].max()) + 1
-
-
-@dataclass(frozen=True, kw_only=True)
 class FoundLayout:
     """The layers of a rest picture.
 
@@ -146,7 +85,67 @@ class FoundLayout:
         (s, 2) spots that look like dots and lie on no lattice: dirt, glints.
     """
 
-    layers: dict[str, FoundLayer]
+    @dataclass(frozen=True, kw_only=True)
+    class Layer:
+        """The dots of one colour, and the lattice that they form.
+
+        Attributes
+        ----------
+        centre_px
+            (n, 2) centres, px (column, row), by column, then by row.
+        index
+            (n, 2) column, counted from the left, and row, counted from the bottom, of every dot:
+            from 0 on. Odd rows of a hexagonal lattice lie half a pitch to the right.
+        lattice
+            ``square`` or ``hexagonal``.
+        pitch_px
+            Distance of neighbouring dots, px: the mean over the layer.
+        diameter_px
+            Median width of the dots, px.
+        angle_deg
+            Turn of the rows against the picture's, from column towards row, degrees.
+        colour_dn, ground_dn
+            (3,) counts of red, green and blue in the dots' middle, and around them.
+        polarity
+            ``bright`` or ``dark`` dots on their ground.
+        weights
+            (r, g, b) such that r R + g G + b B is large on the dots.
+        """
+
+        centre_px: Pixels
+        index: NDArray[np.int64]
+        lattice: Literal["square", "hexagonal"]
+        pitch_px: float
+        diameter_px: float
+        angle_deg: float
+        colour_dn: Floats
+        ground_dn: Floats
+        polarity: Literal["bright", "dark"]
+        weights: Weights
+
+        def __len__(self) -> int:
+            return len(self.centre_px)
+
+        def __repr__(self) -> str:
+            facts = [
+                f"{len(self)} {self.polarity} dots",
+                f"{self.columns} columns x {self.rows} rows",
+                f"{self.lattice}, pitch {self.pitch_px:.4g} px",
+                f"diameter {self.diameter_px:.3g} px",
+            ]
+            return one_line("FoundLayer", facts)
+
+        @property
+        def columns(self) -> int:
+            """Number of columns that show a dot or lie between two that do."""
+            return int(self.index[:, 0].max()) + 1
+
+        @property
+        def rows(self) -> int:
+            """Number of rows that show a dot or lie between two that do."""
+            return int(self.index[:, 1].max()) + 1
+
+    layers: dict[str, Layer]
     stray_px: Pixels
 
     @property
@@ -526,7 +525,7 @@ def _refusal(away: NDArray[np.float32], noise: float, most: int) -> str:
 
 def _described(picture: Picture, away: NDArray[np.float32], found: list[_Layer]) -> FoundLayout:
     """Return layers with names, ordered sites and sizes."""
-    layers: dict[str, FoundLayer] = {}
+    layers: dict[str, FoundLayout.Layer] = {}
     for one in sorted(found, key=len, reverse=True):
         layer = _layer(picture, away, one)
         name = _colour_name(layer)
@@ -536,7 +535,7 @@ def _described(picture: Picture, away: NDArray[np.float32], found: list[_Layer])
     return FoundLayout(layers=layers, stray_px=frozen(stray))
 
 
-def _layer(picture: Picture, away: NDArray[np.float32], one: _Layer) -> FoundLayer:
+def _layer(picture: Picture, away: NDArray[np.float32], one: _Layer) -> FoundLayout.Layer:
     centres, sites = one.spots.centre_px[one.on], one.index[one.on]
     sites, lattice, angle = _oriented(sites, centres)
     order = np.lexsort((sites[:, 1], sites[:, 0]))
@@ -544,7 +543,7 @@ def _layer(picture: Picture, away: NDArray[np.float32], one: _Layer) -> FoundLay
     width = float(np.median(one.spots.diameter_px[one.on]))
     colour, ground = _counts(picture, centres, width)
     kind: Literal["bright", "dark"] = "bright" if colour.sum() > ground.sum() else "dark"
-    return FoundLayer(
+    return FoundLayout.Layer(
         centre_px=frozen(centres),
         index=frozen(sites),
         lattice=lattice,
@@ -634,7 +633,7 @@ def _counts(picture: Picture, centres: Pixels, width: float) -> tuple[Floats, Fl
     return np.median(inside, axis=0).astype(float), np.median(around, axis=0).astype(float)
 
 
-def _colour_name(layer: FoundLayer) -> str:
+def _colour_name(layer: FoundLayout.Layer) -> str:
     """Return a word for the dots' colour."""
     colour, ground = layer.colour_dn, layer.ground_dn
     bright = layer.polarity == "bright"

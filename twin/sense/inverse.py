@@ -210,6 +210,20 @@ class Problem:
             local, kkt = quadratic.cone(linear, friction, begin)
         return np.asarray(np.einsum("kij,ki->kj", frames, local)), kkt
 
+    @staticmethod
+    def in_classes(noise: Floats) -> Floats:
+        """Return (u,) noise per marker, px: the same for all where it hardly differs, else in
+        classes."""
+        low, high = noise.min(), noise.max()
+        even = high <= EVEN_NOISE * low
+        if not even:
+            low, most = np.quantile(noise, [0.1, 0.9])
+            even = most <= EVEN_NOISE * low and high <= 2 * EVEN_NOISE * low
+        if even:
+            return np.full(len(noise), np.sqrt(np.mean(noise**2)))
+        usual = float(np.median(noise))
+        return np.asarray(usual * CLASS ** np.rint(np.log(noise / usual) / np.log(CLASS)))
+
 
 def _into_frames(matrix: Floats, frames: Floats) -> Floats:
     """Return a (3k, 3k) matrix on global forces as one on forces in the sites' own frames."""
@@ -230,7 +244,7 @@ def _weights(
     if usual is not None and weighted:
         known = np.asarray(calibration.calibrated & np.isfinite(usual))
         if not (used & ~known).any():
-            noise = in_classes(usual[known])
+            noise = Problem.in_classes(usual[known])
             ratio, here = own[known] / noise, used[known]
             size = float(np.median(ratio[here]))
             odd = (ratio > UNUSUAL * size) | (ratio < size / UNUSUAL)
@@ -241,21 +255,7 @@ def _weights(
                 and 2 * (len(noise) - count) >= calibration.transfer.shape[1]
             ):
                 return known, noise * size, share
-    return used, in_classes(own[used]), np.ones(int(used.sum()))
-
-
-def in_classes(noise: Floats) -> Floats:
-    """Return (u,) noise per marker, px: the same for all where it hardly differs, else in
-    classes."""
-    low, high = noise.min(), noise.max()
-    even = high <= EVEN_NOISE * low
-    if not even:
-        low, most = np.quantile(noise, [0.1, 0.9])
-        even = most <= EVEN_NOISE * low and high <= 2 * EVEN_NOISE * low
-    if even:
-        return np.full(len(noise), np.sqrt(np.mean(noise**2)))
-    usual = float(np.median(noise))
-    return np.asarray(usual * CLASS ** np.rint(np.log(noise / usual) / np.log(CLASS)))
+    return used, Problem.in_classes(own[used]), np.ones(int(used.sum()))
 
 
 def _base(calibration: Calibration, method: InverseMethod, known: Bools, noise: Floats) -> _Base:

@@ -78,30 +78,6 @@ def spacing(points_px: Pixels) -> float:
     return float(max(np.median(distance[:, 1]), 1.0))
 
 
-def match_layout(nominal: list[Pixels], spots: list[Pixels], spacing_px: float) -> list[Ints]:
-    """Return which spot of the rest picture every marker of a drawing is, -1 where none is.
-
-    The drawing is mapped onto the picture by one affine map; then its local misfit is taken off.
-
-    Parameters
-    ----------
-    nominal, spots
-        (n, 2) drawn places and (b, 2) spots, px, group by group.
-    spacing_px
-        Distance of neighbouring markers, px; the drawing may be off by most of it.
-    """
-    found = []
-    for expected, seen in zip(_onto_picture(nominal, spots, spacing_px), spots, strict=True):
-        size = spacing(expected)
-        pair = _mutual_nearest(expected, seen, 0.4 * size)
-        if (pair >= 0).sum() >= 4:
-            alike = np.linalg.norm(expected[:, None] - seen[None], axis=2) < 0.6 * size
-            start = np.where((pair >= 0)[:, None], seen[pair] - expected, np.nan)
-            pair, _ = Neighbourhood.of(expected, size).follow(seen, alike, start)
-        found.append(pair)
-    return found
-
-
 def _onto_picture(nominal: list[Pixels], spots: list[Pixels], spacing_px: float) -> list[Pixels]:
     """Return where the markers of a drawing are expected: the drawing under one affine map."""
     votes = np.concatenate(
@@ -319,6 +295,31 @@ class Neighbourhood:
         torn = best.unpaired > TORN * known
         gone = fewer > PRIOR and search.lost(best) < COVERED * known
         return best.spot, bool(close or moved or torn or gone)
+
+    @staticmethod
+    def match_layout(nominal: list[Pixels], spots: list[Pixels], spacing_px: float) -> list[Ints]:
+        """Return which spot of the rest picture every marker of a drawing is, -1 where none is.
+
+        The drawing is mapped onto the picture by one affine map; then its local misfit is taken
+        off.
+
+        Parameters
+        ----------
+        nominal, spots
+            (n, 2) drawn places and (b, 2) spots, px, group by group.
+        spacing_px
+            Distance of neighbouring markers, px; the drawing may be off by most of it.
+        """
+        found = []
+        for expected, seen in zip(_onto_picture(nominal, spots, spacing_px), spots, strict=True):
+            size = spacing(expected)
+            pair = _mutual_nearest(expected, seen, 0.4 * size)
+            if (pair >= 0).sum() >= 4:
+                alike = np.linalg.norm(expected[:, None] - seen[None], axis=2) < 0.6 * size
+                start = np.where((pair >= 0)[:, None], seen[pair] - expected, np.nan)
+                pair, _ = Neighbourhood.of(expected, size).follow(seen, alike, start)
+            found.append(pair)
+        return found
 
 
 def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> Ints:

@@ -66,7 +66,7 @@ class Rest:
     flaws
         Of the picture.
     film
-        Whether a film's codec has been found since (`twin.sense.colour.repeats_blocks`).
+        Whether a film's codec has been found since (`twin.sense.colour.Flaws.repeats_blocks`).
     """
 
     layer: NDArray[np.str_]

@@ -49,34 +49,7 @@ change that ends it, and its most steps, as lost data are filled in with what th
 the others."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Spectrum:
-    """What the rules for the weight look at: one picture's data along the singular directions.
-
-    Attributes
-    ----------
-    squared
-        (r,) squared singular values.
-    energy
-        (r,) squared components of the whitened data along U.
-    rest
-        What of |d|^2 lies outside U.
-    count
-        Number of data.
-    """
-
-    squared: Floats
-    energy: Floats
-    rest: float
-    count: int
-
-    @property
-    def outside(self) -> float:
-        """`rest`, with a round-off floor."""
-        return self.rest + 1e-20 * (float(self.energy.sum()) + self.rest)
-
-
-def _automatic(seen: Spectrum) -> float:
+def _automatic(seen: Factors.Spectrum) -> float:
     """Return the larger of `LIKELY` times the most likely weight and the cross-validated one.
 
     Why the larger one: a press is concentrated in few sites, which a prior that is the same
@@ -86,7 +59,7 @@ def _automatic(seen: Spectrum) -> float:
     return max(LIKELY * _most_likely(seen), _cross_validated(seen))
 
 
-def _most_likely(seen: Spectrum) -> float:
+def _most_likely(seen: Factors.Spectrum) -> float:
     """Return the whitened weight with the largest marginal likelihood.
 
     The forces are drawn from N(0, s^2 Q^-1 / weight) and the whitened noise from N(0, s^2), the
@@ -103,7 +76,7 @@ def _most_likely(seen: Spectrum) -> float:
     return _least(minus_log, seen)
 
 
-def _cross_validated(seen: Spectrum) -> float:
+def _cross_validated(seen: Factors.Spectrum) -> float:
     """Return the weight with the least robust generalised cross-validation score.
 
     With h = S^2/(S^2 + w): (|residual|^2/m) / (1 - sum h/m)^2 (ROBUSTNESS + (1 - ROBUSTNESS) sum
@@ -121,7 +94,7 @@ def _cross_validated(seen: Spectrum) -> float:
     return _least(log_score, seen)
 
 
-def _least(objective: Callable[[Floats], Floats], seen: Spectrum) -> float:
+def _least(objective: Callable[[Floats], Floats], seen: Factors.Spectrum) -> float:
     """Search the logarithm of the weight from `LEAST_DECADES` to `MOST_DECADES`."""
     top = float(seen.squared.max(initial=0.0))
     if top <= 0.0 or not (seen.energy.any() or seen.rest > 0.0):
@@ -136,7 +109,7 @@ def _least(objective: Callable[[Floats], Floats], seen: Spectrum) -> float:
     return float(top * 10.0**best)
 
 
-RULES: dict[WeightRule, Callable[[Spectrum], float]] = {
+RULES: dict[WeightRule, Callable[[Factors.Spectrum], float]] = {
     "auto": _automatic,
     "likelihood": _most_likely,
     "gcv": _cross_validated,
@@ -161,6 +134,32 @@ class Factors:
     share
         (m,) information of every datum over its usual one; 0 for lost data.
     """
+
+    @dataclass(frozen=True, kw_only=True)
+    class Spectrum:
+        """What the rules for the weight look at: one picture's data along the singular directions.
+
+        Attributes
+        ----------
+        squared
+            (r,) squared singular values.
+        energy
+            (r,) squared components of the whitened data along U.
+        rest
+            What of |d|^2 lies outside U.
+        count
+            Number of data.
+        """
+
+        squared: Floats
+        energy: Floats
+        rest: float
+        count: int
+
+        @property
+        def outside(self) -> float:
+            """`rest`, with a round-off floor."""
+            return self.rest + 1e-20 * (float(self.energy.sum()) + self.rest)
 
     left: Floats
     singular: Floats
@@ -290,9 +289,11 @@ class Factors:
         response, more = self._more(weight)
         return np.asarray(usual + np.einsum("si,si->i", response, more @ response))
 
-    def _spectrum(self, data: Floats, coefficient: Floats) -> Spectrum:
+    def _spectrum(self, data: Floats, coefficient: Floats) -> Factors.Spectrum:
         rest = max(float(data @ data) - float(coefficient @ coefficient), 0.0)
-        return Spectrum(squared=self.singular**2, energy=coefficient**2, rest=rest, count=len(data))
+        return Factors.Spectrum(
+            squared=self.singular**2, energy=coefficient**2, rest=rest, count=len(data)
+        )
 
     def _filtered(self, weight: float) -> Floats:
         """Return (r,) factors S/(S^2 + weight); weight 0 is the pseudo-inverse, cut at round-off

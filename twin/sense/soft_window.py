@@ -28,7 +28,7 @@ from twin.sense.centre import (
 )
 from twin.sense.colour import project
 from twin.sense.detect import Blobs
-from twin.sense.match import GATE, Neighbourhood, match_layout, spacing
+from twin.sense.match import GATE, Neighbourhood, spacing
 
 CROWDED = 0.08
 """From this share of foreign colour around its edge on, a marker's outline may be cut by
@@ -65,7 +65,7 @@ class SoftWindow(CentreEstimator):
         cls, picture: Picture, looks: list[Look], spacing_px: float, given: bool
     ) -> Sequence[SoftWindow]:
         spots = [look.blobs.centre_px[look.blobs.whole] for look in looks]
-        pairs = match_layout([look.nominal_px for look in looks], spots, spacing_px)
+        pairs = Neighbourhood.match_layout([look.nominal_px for look in looks], spots, spacing_px)
         return [cls._matched(look, pair) for look, pair in zip(looks, pairs, strict=True)]
 
     @classmethod

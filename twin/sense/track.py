@@ -22,7 +22,7 @@ from twin.display import Table, html_table, new_axes, one_line, plot_shifts
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import AMBIGUOUS, MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
-from twin.sense.colour import Weights, as_picture, repeats_blocks
+from twin.sense.colour import Flaws, Weights, as_picture
 from twin.sense.match import GATE
 from twin.sense.reference import Rest, analyse_rest
 
@@ -274,7 +274,7 @@ class Tracker:
         if self._compared < COMPARED and not self.rest.film:
             picture = as_picture(image, "the picture")
             if picture.shape == self._before.shape:
-                self.rest = replace(self.rest, film=repeats_blocks(self._before, picture))
+                self.rest = replace(self.rest, film=Flaws.repeats_blocks(self._before, picture))
                 self._before[:] = picture
             self._compared += 1
         found = track_frame(self.rest, image, self._last_px)

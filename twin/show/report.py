@@ -22,11 +22,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits
-from twin.display import nice, spacing
+from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice, spacing
 from twin.files import png_bytes
 from twin.parts.part import UNITS
-from twin.results import RunResult, Touch, Truth
+from twin.results import RunResult, Truth
 from twin.show.explain import LIMITS, one_layer
 from twin.show.html_page import cleaned, digits, figure, finite, page, table, two_columns
 from twin.show.svg_plots import Axes
@@ -854,7 +853,7 @@ def _touched(result: RunResult) -> str:
     return "".join(two_columns([_map(one), _pressure(one)]) for one in result.touches)
 
 
-def _map(one: Touch) -> str:
+def _map(one: RunResult.Touch) -> str:
     axes = Axes.equal(*_around(one.place_mm))
     per_unit = axes.per_unit
     stuck = ~one.slip
@@ -891,7 +890,7 @@ def _map(one: Touch) -> str:
     return figure(axes.drawing(content, "along the surface (mm)", "across that (mm)", say), caption)
 
 
-def _pressure(one: Touch) -> str:
+def _pressure(one: RunResult.Touch) -> str:
     distance = np.hypot(one.place_mm[:, 0], one.place_mm[:, 1])
     theory = one.expected
     shown = theory[theory[:, 1] <= 1.3 * one.pressure_mpa.max()]

@@ -17,8 +17,7 @@ from html import escape
 
 import numpy as np
 
-from twin.arrays import Floats
-from twin.display import nice
+from twin.arrays import Floats, nice
 
 VIEW = 480
 """Width of every drawing: near its size in a column of a laptop's page, so that letters keep their

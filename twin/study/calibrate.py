@@ -29,8 +29,7 @@ from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.part import identity
 from twin.parts.press import Press, Sphere, Step
-from twin.parts.scene import Scene
-from twin.streams import Purpose, stream
+from twin.parts.scene import Purpose, Scene
 from twin.study.recorded import PICTURES, read_numbers, read_picture
 from twin.study.sensor import Sensor
 from twin.theory.contact import hertz
@@ -79,11 +78,14 @@ DISAGREE = 0.5
 
 
 @one_blas_thread()
-def calibration_of(sensor: Sensor) -> Calibration:
-    """Return the calibration by the scene's method; a file is used only while it matches."""
+def calibration_of(sensor: Sensor, *, kept: bool = True) -> Calibration:
+    """Return the calibration by the scene's method; with ``kept`` a file is used while it
+    matches, and presses are stored."""
     scene = sensor.nominal
     if scene.calibration.method not in BY_PRESSES:
         return _calibrate_by_design(sensor)
+    if not kept:
+        return _calibrate_by_presses(sensor)
     from twin.sense.calibration import read_calibration
 
     digest = _sensor_digest(scene)
@@ -100,7 +102,7 @@ def calibration_of(sensor: Sensor) -> Calibration:
             "again, which takes minutes",
             file=sys.stderr,
         )
-    made = calibrate_by_presses(sensor)
+    made = _calibrate_by_presses(sensor)
     with kept_if_possible():
         made.write(cached)
     return made
@@ -135,8 +137,7 @@ def calibrate_to_file(
     if folder is not None:
         made, text = _calibrate_from_folder(sensor, folder)
     else:
-        by_presses = scene.calibration.method in BY_PRESSES
-        made = calibrate_by_presses(sensor) if by_presses else _calibrate_by_design(sensor)
+        made = calibration_of(sensor, kept=False)
         text = f"{len(made.transfer) // 2} markers"
     stored = scene.reconstruction.model_dump(exclude={"sites", "source", "assumed"})
     if made.relaxation is None:
@@ -259,7 +260,7 @@ def half_space_compliance(scene: Scene, markers: Floats, sites: Rectangles) -> F
     return compliance(markers, sites, material.youngs_modulus_mpa, material.poisson_ratio)
 
 
-def calibrate_by_presses(sensor: Sensor) -> Calibration:
+def _calibrate_by_presses(sensor: Sensor) -> Calibration:
     """Calibrate the made sensor by its pictures and the load cell under presses at every place.
 
     They go along z, then x, then y (Sato, II C); the nominal design fills in between places. By any
@@ -297,7 +298,7 @@ def _press_everywhere(sensor: Sensor, places: Rectangles) -> Presses:
         pressed = sensor.press(calibration_press(scene, places, place))
         if not pressed.complete:
             raise ContactError(f"calibration: press {place + 1} of {count}: {pressed.reason}")
-        rng = stream(scene.seed, Purpose.LOAD_CELL, place)
+        rng = Purpose.LOAD_CELL.stream(scene.seed, place)
         noise = scene.calibration.load_cell_n * rng.standard_normal((3, 3))
         for number, state in enumerate(pressed.path):
             exposure = FIRST_EXPOSURE + 1 + 3 * place + number

@@ -6,7 +6,7 @@ mN, and the result would be correct and useless. What can't exist at all is refu
 (`twin.parts`).
 
 Several warnings need the nominal view of the scene before any picture is computed: `View.of` has
-the places and sizes of the markers in the picture, `shift_sd` and `noise_bound` the expected
+the places and sizes of the markers in the picture, `shift_sd` and `View.noise_bound` the expected
 noise of their shifts.
 
 Validity: usual ranges are those of rubbers, markers and cameras of tactile sensors.
@@ -22,15 +22,12 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Pixels
 from twin.errors import RecipeError
-from twin.parts.markers import MarkerSet, place
+from twin.parts.camera import FULL_SCALE
+from twin.parts.markers import MarkerSet
 from twin.parts.press import Press
-from twin.parts.probe import Stl, width_mm
 from twin.parts.scene import Scene
 from twin.parts.vary import CUT
-from twin.theory.limit import centre_bound, pixel_sd
-from twin.theory.optics import project_with_jacobian
-
-_FULL_SCALE = 255.0
+from twin.theory.optics import centre_bound, project_with_jacobian
 
 _FACTOR = {"bead": 1.05, "print": 1.0}
 """Noise of a tracked shift over the bound of one even disc, by kind of marker: beads darken towards
@@ -116,13 +113,13 @@ def _edge_noise(scene: Scene, layer: str) -> tuple[float, float]:
     brightest = max(dark, *(max(each.colour) for each in scene.markers.values()))
     if brightest == 0:
         return 0.0, 1.0
-    white = min(ccd.white_dn * ccd.exposure, _FULL_SCALE) / brightest
+    white = min(ccd.white_dn * ccd.exposure, FULL_SCALE) / brightest
     ground = white * dark
     inside = white * max(marker.colour)
     contrast = max(abs(inside - ground), 1e-3 * white)
     if not ccd.noise:
         return contrast, 0.3
-    return contrast, pixel_sd((inside + ground) / 2, _FULL_SCALE, ccd.full_well_e, ccd.read_noise_e)
+    return contrast, ccd.pixel_sd((inside + ground) / 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +158,7 @@ class View:
         if scene.camera is None:
             raise RecipeError("this scene has no [camera] table: designs are seen by a camera")
         camera = scene.camera
-        markers = place(scene.body, scene.markers)
+        markers = MarkerSet.place(scene.body, scene.markers)
         pixels, jacobian = project_with_jacobian(
             markers.points, camera, scene.material.refractive_index, scene.body.base_z_mm
         )
@@ -194,18 +191,18 @@ class View:
             hidden=hidden,
         )
 
-
-def noise_bound(scene: Scene) -> Floats | None:
-    """Return the (n,) Cramer-Rao bounds of all nominal markers' shifts, px per axis, NaN where
-    none is known; None where the closed form does not hold."""
-    if scene.camera is None or not _knows_noise(scene) or not scene.ccd.spelt_out().noise:
-        return None
-    view = View.of(scene)
-    bound = np.full(len(view.markers), np.nan)
-    for name in scene.markers:
-        rows = view.markers.layer == name
-        bound[rows] = _shift_bound(scene, name, np.nan_to_num(view.diameter_px[rows]))
-    return np.where(np.isfinite(view.diameter_px), bound, np.nan)
+    @staticmethod
+    def noise_bound(scene: Scene) -> Floats | None:
+        """Return the (n,) Cramer-Rao bounds of all nominal markers' shifts, px per axis, NaN where
+        none is known; None where the closed form does not hold."""
+        if scene.camera is None or not _knows_noise(scene) or not scene.ccd.spelt_out().noise:
+            return None
+        view = View.of(scene)
+        bound = np.full(len(view.markers), np.nan)
+        for name in scene.markers:
+            rows = view.markers.layer == name
+            bound[rows] = _shift_bound(scene, name, np.nan_to_num(view.diameter_px[rows]))
+        return np.where(np.isfinite(view.diameter_px), bound, np.nan)
 
 
 def doubts(scene: Scene) -> list[str]:
@@ -267,9 +264,9 @@ def _of_press(scene: Scene) -> Iterator[str]:
     presses: tuple[Press, ...] = () if scene.press is None else (scene.press, *scene.press.also)
     for number, press in enumerate(presses):
         key = f"press.also {number}" if number else "press"
-        if not isinstance(press.probe, Stl) and width_mm(press.probe) < _NARROWEST_MM:
+        if press.width_mm < _NARROWEST_MM:
             yield (
-                f"{key}.probe: {width_mm(press.probe):g} mm wide, a needle (usual: "
+                f"{key}.probe: {press.width_mm:g} mm wide, a needle (usual: "
                 f"{_NARROWEST_MM:g} mm and more); lengths are in mm"
             )
         if _MOST_FRICTION < press.friction < math.inf:

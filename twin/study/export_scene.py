@@ -19,7 +19,7 @@ def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> l
     RecipeError
         The scene has no camera, or one that stock Mitsuba lacks.
     """
-    from twin.world.picture.stock_scene import check_stock, middle_of_window, write_stock_scene
+    from twin.world.picture.stock_scene import check_stock, write_stock_scene
 
     sensor = Sensor(scene, progress)
     actual = sensor.actual.scene
@@ -37,7 +37,7 @@ def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> l
         cover = None if motion is None else motion.cover
         shapes = sensor.ellipsoids(motion)
         files.append(write_stock_scene(out, name, actual, exposure, shapes, cover))
-    write_whole(out / "README.md", _readme(scene, middle_of_window(actual), files).encode())
+    write_whole(out / "README.md", _readme(scene, actual.window_middle_mm, files).encode())
     return files
 
 

@@ -25,7 +25,6 @@ from twin.files import make_folder, png_bytes, write_whole
 from twin.parts.load import Load
 from twin.parts.press import Press, Step, Triple
 from twin.parts.scene import Scene
-from twin.study.recipe import dump_scene
 from twin.study.sensor import Motion, Sensor
 
 if TYPE_CHECKING:
@@ -351,7 +350,7 @@ def film_to_folder(
     make_folder(folder if h264 else pictures)
     for old in (film, *pictures.glob("[0-9]" * 6 + ".png")):
         old.unlink(missing_ok=True)
-    write_whole(folder / "scene.toml", dump_scene(scene).encode())
+    write_whole(folder / "scene.toml", scene.to_toml().encode())
     rest = sensor.picture(None)
     if h264:
         rest = VideoWriter.encoded(rest, film)

@@ -20,7 +20,7 @@ from twin.arrays import Picture, eight_bits
 from twin.errors import InputError, RecipeError
 from twin.files import make_folder, png_bytes, write_whole
 from twin.parts.scene import Scene
-from twin.sense.find_layout import FoundLayer, FoundLayout, find_layout
+from twin.sense.find_layout import FoundLayout, find_layout
 from twin.study.doubts import View
 from twin.study.recorded import read_picture
 
@@ -225,7 +225,7 @@ def _recipe(found: FoundLayout, drawn: Sequence[_Drawn], name: str, image: Pictu
     return "\n".join(lines) + "\n"
 
 
-def _table(layer: FoundLayer, own: _Drawn, name: str) -> list[str]:
+def _table(layer: FoundLayout.Layer, own: _Drawn, name: str) -> list[str]:
     """Return the lines of a layer's table; of a hexagonal one as comments."""
     full = layer.columns * layer.rows
     where = f"{name}: {len(layer)} dots on {full} places of the grid"

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.parts.markers import place
+from twin.parts.markers import MarkerSet
 from twin.study.doubts import doubts
 from twin.study.recipe import validate_scene
 
@@ -78,7 +78,7 @@ class Pad:
         text = _recipe_of(self)
         table = tomllib.loads(text)
         scene = validate_scene(table, str(target))
-        place(scene.body, scene.markers)
+        MarkerSet.place(scene.body, scene.markers)
         write_whole(target, text.encode())
         dots = [f"{layer.columns} x {layer.rows} {name}" for name, layer in scene.markers.items()]
         return [

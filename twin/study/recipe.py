@@ -652,21 +652,3 @@ def _require_material(below: Table, above: Table, base: str, path: Path) -> None
             "this scene, or name a body by body.recipe",
             str(path),
         )
-
-
-def dump_scene(scene: Scene) -> str:
-    """Return the resolved scene as TOML; reading it back gives the same scene."""
-    import tomli_w
-
-    return tomli_w.dumps(_plain(scene.model_dump(mode="python", exclude_none=True)))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items() if not (k in PROVENANCE and not v)}
-    if isinstance(value, tuple | list):
-        # a step's (None, None, 1.0): TOML has no null, the table form leaves components out
-        if any(v is None for v in value):
-            return {axis: v for axis, v in zip("xyz", value, strict=True) if v is not None}
-        return [_plain(v) for v in value]
-    return value

@@ -32,11 +32,10 @@ from typing import IO, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits
-from twin.display import nice, spacing
+from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice, spacing
 from twin.errors import InputError, MissingCapability, SomeFailed, TwinError
 from twin.files import LARGEST_PX, make_folder, picture_of_png, png_bytes, write_whole
-from twin.parts.scene import Reconstruction
+from twin.parts.scene import Scene
 from twin.sense.calibration import Calibration, read_calibration
 from twin.sense.inverse import METHODS
 from twin.sense.reconstruct import Bump, Field, check_options, reconstruct
@@ -933,10 +932,10 @@ class _LiveTable:
         return table
 
 
-def _stored_options(known: Calibration) -> Reconstruction:
+def _stored_options(known: Calibration) -> Scene.Reconstruction:
     """Return the options in the calibration's recipe."""
     stored = known.facts.get("reconstruction")
-    return Reconstruction.model_construct(**(stored if isinstance(stored, dict) else {}))
+    return Scene.Reconstruction.model_construct(**(stored if isinstance(stored, dict) else {}))
 
 
 def _options(known: Calibration, given: Mapping[str, Any]) -> dict[str, Any]:

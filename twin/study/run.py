@@ -34,12 +34,11 @@ from twin.compiled import COMPILING
 from twin.errors import ContactError, InputError, RecipeError, SomeFailed
 from twin.files import make_folder, write_whole
 from twin.parts.load import Rectangles
-from twin.parts.press import Press, Sphere
-from twin.parts.probe import Cylinder
+from twin.parts.press import Cylinder, Press, Sphere
 from twin.parts.scene import Scene
-from twin.results import Estimate, RunResult, Touch, Truth
-from twin.study.doubts import doubts, noise_bound
-from twin.study.recipe import dump_scene, load_scene
+from twin.results import Estimate, RunResult, Truth
+from twin.study.doubts import View, doubts
+from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
 from twin.theory.contact import hertz, largest_strain_and_turn, punch_pressure
 
@@ -231,9 +230,9 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
     # Refuse what can't be rendered on this machine before anything is solved.
     with stage("design"):
         if "picture" in needed:
-            from twin.world.picture.backend import check_machine
+            from twin.world.picture.backend import Variant
 
-            check_machine(scene)
+            Variant.check_machine(scene)
     # The truth: the load of the press, or given tractions, and the motion of the markers.
     state = None
     ends_s = None
@@ -292,7 +291,7 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
     with stage("score"):
         from twin.judge.score import force_score, score, tracking_score
 
-        bound_px = noise_bound(scene) if "picture" in needed else None
+        bound_px = View.noise_bound(scene) if "picture" in needed else None
         tracking = force = None
         if estimate is not None:
             shift_px = truth.marker_outline_pressed_px - truth.marker_outline_rest_px
@@ -338,7 +337,7 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
         if sensor.saturation is not None:
             facts["picture_warnings"] = [sensor.saturation]
     return RunResult(
-        scene_toml=dump_scene(scene),
+        scene_toml=scene.to_toml(),
         truth=truth,
         estimate=estimate,
         rest=rest,
@@ -565,7 +564,7 @@ def _elastic_errors(
     return figures | {"reasons": reasons}
 
 
-def _touches(scene: Scene, state: ContactState | None) -> tuple[Touch, ...]:
+def _touches(scene: Scene, state: ContactState | None) -> tuple[RunResult.Touch, ...]:
     """Return the contact under each probe that touches the body."""
     if state is None or scene.press is None:
         return ()
@@ -584,7 +583,7 @@ def _touches(scene: Scene, state: ContactState | None) -> tuple[Touch, ...]:
         push_n = float(patches.total_force_n @ inward)
         expected, name = _closed_form(scene, press, own, push_n)
         found.append(
-            Touch(
+            RunResult.Touch(
                 probe=press.probe.kind,
                 place_mm=(patches.centre_mm - middle) @ axes[:2].T,
                 half_mm=np.array(patches.half_mm),

@@ -19,11 +19,10 @@ from twin.arrays import Chart, Floats, Picture, Pixels, Points, Progress, Single
 from twin.blas_threads import one_blas_thread
 from twin.errors import AccuracyWarning, ContactError, InputError, RecipeError, require
 from twin.parts.load import Load, Rectangles
-from twin.parts.markers import MarkerSet, Prints, place
+from twin.parts.markers import MarkerSet
 from twin.parts.press import MOST_PATCHES, Press
-from twin.parts.scene import Scene
+from twin.parts.scene import Purpose, Scene
 from twin.parts.vary import CUT
-from twin.streams import Purpose, stream
 from twin.theory.optics import project
 from twin.theory.relaxation import Relaxation
 
@@ -73,7 +72,7 @@ class _Actual:
     scene: Scene
     jitter_mm: Chart
     markers: MarkerSet
-    prints: Prints | None = None
+    prints: MarkerSet.Prints | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,10 +103,10 @@ def _make(nominal: Scene) -> _Actual:
     tolerance = nominal.tolerance
     count = sum(layer.columns * layer.rows for layer in nominal.markers.values())
     if tolerance.preset == "none":
-        markers = place(nominal.body, nominal.markers)
+        markers = MarkerSet.place(nominal.body, nominal.markers)
         return _Actual(scene=nominal, jitter_mm=frozen(np.zeros((count, 2))), markers=markers)
     # The order of the draws is fixed: another order would change every stored result.
-    rng = stream(nominal.seed, Purpose.TOLERANCE)
+    rng = Purpose.TOLERANCE.stream(nominal.seed)
 
     def deviation() -> float:
         return float(np.clip(rng.standard_normal(), -CUT, CUT))
@@ -144,28 +143,28 @@ def _make(nominal: Scene) -> _Actual:
         )
     # The print of single markers has a stream of its own.
     changes = {"material": material, "cover": cover, "markers": layers, "camera": camera}
-    noise = stream(nominal.seed, Purpose.PRINT).standard_normal((count, 2))
+    noise = Purpose.PRINT.stream(nominal.seed).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)
     return _Actual(
         scene=nominal.model_copy(update=changes),
         jitter_mm=frozen(jitter),
-        markers=place(nominal.body, layers, jitter),
+        markers=MarkerSet.place(nominal.body, layers, jitter),
         prints=_prints(nominal, count),
     )
 
 
-def _prints(nominal: Scene, count: int) -> Prints | None:
+def _prints(nominal: Scene, count: int) -> MarkerSet.Prints | None:
     """Draw sizes, shades and losses of the markers, from a stream of their own."""
     tolerance = nominal.tolerance
     if tolerance.print_diameter_pct == tolerance.print_shade_pct == tolerance.missing == 0:
         return None
-    rng = stream(nominal.seed, Purpose.PRINT, 1)
+    rng = Purpose.PRINT.stream(nominal.seed, 1)
     size, shade = (
         1 + pct / 100 * np.clip(rng.standard_normal(count), -CUT, CUT)
         for pct in (tolerance.print_diameter_pct, tolerance.print_shade_pct)
     )
     missing = rng.random(count) < tolerance.missing
-    return Prints(size=frozen(size), shade=frozen(shade), missing=frozen(missing))
+    return MarkerSet.Prints(size=frozen(size), shade=frozen(shade), missing=frozen(missing))
 
 
 class Sensor:
@@ -263,17 +262,17 @@ class Sensor:
     @cached_property
     def nominal_markers(self) -> MarkerSet:
         """The markers as drawn."""
-        return place(self.nominal.body, self.nominal.markers)
+        return MarkerSet.place(self.nominal.body, self.nominal.markers)
 
     @cached_property
     def renderer(self) -> Renderer:
         """The camera's view of the actual sensor."""
         if self.nominal.camera is None:
             raise RecipeError("this scene has no [camera] table, so there is no picture of it")
-        from twin.world.picture.backend import check_machine
+        from twin.world.picture.backend import Variant
         from twin.world.picture.render import Renderer
 
-        check_machine(self.actual.scene)
+        Variant.check_machine(self.actual.scene)
         return Renderer(self.actual.scene, self.ellipsoids(None))
 
     def rectangles(self, load: Load | ContactState) -> Rectangles:
@@ -297,10 +296,8 @@ class Sensor:
 
         Raises
         ------
-        OutOfBodyError
-            A point lies outside the body.
         InputError
-            The load misses the sensing surface.
+            A point lies outside the body, or the load misses the sensing surface.
         """
         points = _as_points(points_mm)
         load = _load_of(load)
@@ -517,7 +514,7 @@ class Sensor:
             There is no equilibrium, or the contact leaves the sensing surface.
         """
         from twin.world.contact.contact_state import ContactState
-        from twin.world.contact.press_error import Watched
+        from twin.world.contact.press_error import Estimates
         from twin.world.contact.pressing import press as solve
 
         # Check the request.
@@ -547,7 +544,7 @@ class Sensor:
                 youngs_modulus_mpa=actual.scene.material.youngs_modulus_mpa,
                 poisson_ratio=actual.scene.material.poisson_ratio,
                 increments=self.nominal.accuracy.contact_increments,
-                watched=Watched(
+                watched=Estimates.Watched(
                     points=points,
                     error=lambda load: (
                         self.ladder.displacement(points, self.rectangles(load.moving)).error
@@ -652,7 +649,7 @@ class Sensor:
         before."""
         from twin.world.picture.ccd import expose
 
-        noise = stream(self.nominal.seed, Purpose.EXPOSURE, exposure)
+        noise = Purpose.EXPOSURE.stream(self.nominal.seed, exposure)
         picture = expose(radiance, self.nominal.ccd, noise, self.pattern, before)
         full = picture == np.iinfo(picture.dtype).max
         share = float((full[:, :, 0] | full[:, :, 1] | full[:, :, 2]).mean())
@@ -673,7 +670,7 @@ class Sensor:
         camera = self.nominal.camera
         if camera is None:
             return None
-        own = stream(self.nominal.seed, Purpose.SENSOR_PATTERN)
+        own = Purpose.SENSOR_PATTERN.stream(self.nominal.seed)
         return Pattern.drawn(self.nominal.ccd, (camera.height_px, camera.width_px), own)
 
     def _linear_only(self) -> str:
@@ -772,9 +769,9 @@ def _covered(
     if cover is None or not cover.has_own_material:
         return None
     from twin.world.elasticity.coated import CoveredCompliance
-    from twin.world.elasticity.fem import Layer
+    from twin.world.elasticity.fem import TaylorHood
 
-    layer = Layer.of_cover(scene.material, cover)
+    layer = TaylorHood.Layer.of_cover(scene.material, cover)
     if layer is None:
         return None
     return CoveredCompliance(

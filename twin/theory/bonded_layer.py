@@ -202,6 +202,32 @@ class BondedLayer:
     def _softness(self) -> float:
         return 1.0 - 2.0 * self.poisson_ratio
 
+    @staticmethod
+    def wave_motions(kz: Floats, nu: float) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        """Return U and W, each for the decaying (q, 2) and growing (q, 2) waves, their exponentials
+        left out."""
+        one = np.ones_like(kz)
+        bend = 3.0 - 4.0 * nu
+        u = np.column_stack([one, kz - bend]), np.column_stack([one, -bend - kz])
+        w = np.column_stack([one, kz]), np.column_stack([-one, kz])
+        return u, w
+
+    @staticmethod
+    def wave_tractions(
+        kz: Floats, nu: float, g: float
+    ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        """Return the tractions along x (sin) and along z (cos) over k, like `wave_motions`."""
+        one = np.ones_like(kz)
+        x = (
+            2 * g * np.column_stack([-one, 2 - 2 * nu - kz]),
+            2 * g * np.column_stack([one, 2 * nu - 2 - kz]),
+        )
+        z = (
+            2 * g * np.column_stack([-one, 1 - 2 * nu - kz]),
+            2 * g * np.column_stack([-one, 1 - 2 * nu + kz]),
+        )
+        return x, z
+
 
 @lru_cache(maxsize=8)
 def _grid_of(nu: float) -> Floats:
@@ -247,8 +273,8 @@ def _waves(k: Floats, z: float, nu: float) -> tuple[tuple[Floats, ...], tuple[Fl
     """
     fade = np.exp(-k)
     none = 0.0 * k
-    at_face = tractions(none, nu, 1.0)
-    at_base = motions(k, nu)
+    at_face = BondedLayer.wave_tractions(none, nu, 1.0)
+    at_base = BondedLayer.wave_motions(k, nu)
     given = np.zeros((len(k), 2, 2))
     given[:, 1, 0] = given[:, 0, 1] = -1.0
     given /= k[:, None, None]
@@ -265,37 +291,14 @@ def _waves(k: Floats, z: float, nu: float) -> tuple[tuple[Floats, ...], tuple[Fl
     solved = np.linalg.solve(matrix, right)
     down = np.exp(-k * z)
     up = np.exp(k * (z - 1.0))
-    basis = [np.hstack([m[0] * down[:, None], m[1] * up[:, None]]) for m in motions(k * z, nu)]
+    basis = [
+        np.hstack([m[0] * down[:, None], m[1] * up[:, None]])
+        for m in BondedLayer.wave_motions(k * z, nu)
+    ]
     u, w = (np.einsum("qi,qic->cq", b, solved) for b in basis)
     tension = -4.0 * nu * k * (solved[:, 1] * down[:, None] + solved[:, 3] * up[:, None]).T
     across = -(np.exp(-k * (2.0 + z)) + np.exp(k * (z - 2.0))) / (k * (1.0 + fade * fade))
     return (u[0], w[0], tension[0]), (u[1], w[1], tension[1]), across
-
-
-def motions(kz: Floats, nu: float) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-    """Return U and W, each for the decaying (q, 2) and growing (q, 2) waves, their exponentials
-    left out."""
-    one = np.ones_like(kz)
-    bend = 3.0 - 4.0 * nu
-    u = np.column_stack([one, kz - bend]), np.column_stack([one, -bend - kz])
-    w = np.column_stack([one, kz]), np.column_stack([-one, kz])
-    return u, w
-
-
-def tractions(
-    kz: Floats, nu: float, g: float
-) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-    """Return the tractions along x (sin) and along z (cos) over k, like `motions`."""
-    one = np.ones_like(kz)
-    x = (
-        2 * g * np.column_stack([-one, 2 - 2 * nu - kz]),
-        2 * g * np.column_stack([one, 2 * nu - 2 - kz]),
-    )
-    z = (
-        2 * g * np.column_stack([-one, 1 - 2 * nu - kz]),
-        2 * g * np.column_stack([-one, 1 - 2 * nu + kz]),
-    )
-    return x, z
 
 
 @njit(cache=True)

@@ -23,10 +23,7 @@ For depths a < b the determinant of A is k (b - a) exp(-k (a + b)) / (2 G k)^2: 
 can't separate a push from a shear.
 
 Validity: a half-space seen straight on, layers wider than what is resolved, markers no wider than
-their pitch.
-
-`centre_bound` is the limit of a single marker's centre in a picture: the Cramer-Rao bound of a
-blurred disc."""
+their pitch."""
 
 from __future__ import annotations
 
@@ -136,24 +133,24 @@ class Limit:
             **dict(zip(Limit.__annotations__, np.concatenate(chunks, axis=1), strict=True))
         )
 
+    @staticmethod
+    def layer_rows(
+        k: Floats, depth_mm: Floats, shear_modulus_mpa: Floats, poisson_ratio: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return motion of a layer along k per traction along k, and per normal traction a quarter
+        of a wave ahead, mm/MPa.
 
-def layer_rows(
-    k: Floats, depth_mm: Floats, shear_modulus_mpa: Floats, poisson_ratio: Floats
-) -> tuple[Floats, Floats]:
-    """Return motion of a layer along k per traction along k, and per normal traction a quarter of a
-    wave ahead, mm/MPa.
-
-    Parameters
-    ----------
-    k
-        Wave numbers, 1/mm; all arguments broadcast.
-    depth_mm, shear_modulus_mpa, poisson_ratio
-        Of the layer and of the rubber.
-    """
-    falls = np.exp(-k * depth_mm) / (2 * shear_modulus_mpa * k)
-    return (2 * (1 - poisson_ratio) - k * depth_mm) * falls, (
-        k * depth_mm - (1 - 2 * poisson_ratio)
-    ) * falls
+        Parameters
+        ----------
+        k
+            Wave numbers, 1/mm; all arguments broadcast.
+        depth_mm, shear_modulus_mpa, poisson_ratio
+            Of the layer and of the rubber.
+        """
+        falls = np.exp(-k * depth_mm) / (2 * shear_modulus_mpa * k)
+        return (2 * (1 - poisson_ratio) - k * depth_mm) * falls, (
+            k * depth_mm - (1 - 2 * poisson_ratio)
+        ) * falls
 
 
 def _limits(
@@ -173,7 +170,7 @@ def _limits(
     g = shear_modulus(modulus, nu)
     tt, tn, nn, across = np.zeros((4, *k.shape))
     for layer in range(depth.shape[1]):
-        along, normal = layer_rows(k, depth[:, layer, None], g[:, None], nu[:, None])
+        along, normal = Limit.layer_rows(k, depth[:, layer, None], g[:, None], nu[:, None])
         weight = 1 / (noise[:, layer] * pitch[:, layer])[:, None] ** 2
         tt += weight * along**2
         tn += weight * along * normal
@@ -211,54 +208,3 @@ def _crossing(falling: Floats) -> Floats:
     share = high / np.where(high == low, 1.0, high - low)
     found = _R[at - 1] + share * (_R[at] - _R[at - 1])
     return np.where(below.any(axis=1), found, np.inf)
-
-
-PIXEL_VARIANCE = 1.0 / 12.0
-"""Of a square pixel, px^2."""
-
-
-def centre_bound(diameter_px: Floats, contrast: float, psf_px: float, noise: float) -> Floats:
-    """Return the least standard deviation of a disc's centre, per axis, px: the Cramer-Rao bound.
-
-    Parameters
-    ----------
-    diameter_px
-        Of the discs.
-    contrast
-        Its brightness over the ground's, in any unit.
-    psf_px
-        Standard deviation of the blur.
-    noise
-        Standard deviation of a pixel at the disc's rim, in the contrast's unit.
-
-    Notes
-    -----
-    A disc of radius R and contrast A, blurred by a Gaussian g of standard deviation s small against
-    R, changes only at its rim: df/dx = A cos(angle) g(r - R). With noise of standard deviation n
-    there, the Fisher information of x is (H. Cramer 1946)
-
-        I = int (df/dx)^2 / n^2 = A^2 / n^2  pi R  int g^2 dr = A^2 R sqrt(pi) / (2 s n^2).
-
-    A square pixel adds 1/12 to s^2. Validity: R well above s (at R = 2 s it is 3 % off), one
-    channel, markers apart, a disc of even brightness; `twin.study.doubts` has what real ones add.
-    """
-    radius = np.asarray(diameter_px, float) / 2
-    blur = np.sqrt(np.asarray(psf_px, float) ** 2 + PIXEL_VARIANCE)
-    information = (np.asarray(contrast) / noise) ** 2 * radius * np.sqrt(np.pi) / (2 * blur)
-    return np.asarray(information**-0.5)
-
-
-def pixel_sd(counts: float, full_scale: float, full_well_e: float, read_noise_e: float) -> float:
-    """Return the standard deviation of a pixel, counts: shot, read and rounding noise.
-
-    Parameters
-    ----------
-    counts
-        Of the pixel; halfway up a marker's rim the mean of its own and the ground's.
-    full_scale
-        Counts of a full well.
-    full_well_e, read_noise_e
-        Electrons.
-    """
-    gain = full_well_e / full_scale
-    return float(np.sqrt((counts * gain + read_noise_e**2) / gain**2 + 1 / 12))

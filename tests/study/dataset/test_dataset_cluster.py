@@ -20,7 +20,7 @@ from small_dataset import contents, make
 import twin
 from twin.errors import InputError, MissingCapability
 from twin.study.batch import pool
-from twin.study.batch.pool import Done, Job, Pool, Scheduler
+from twin.study.batch.pool import Job, Pool
 from twin.study.dataset.sample import ShardBytes
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parent.parent)}
@@ -29,7 +29,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parent.parent
 def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "PATIENCE_S", 0.5)
     with pytest.raises(InputError, match="no dask scheduler replies there"):
-        make(tmp_path / "d", 2, scheduler=Scheduler(address="tcp://127.0.0.1:1"))
+        make(tmp_path / "d", 2, scheduler=Pool.Scheduler(address="tcp://127.0.0.1:1"))
     assert not (tmp_path / "d").exists(), "nothing is left of what was never begun"
 
 
@@ -161,7 +161,7 @@ def only_some_return(folder: Path, number: int) -> int:
     return 10 * number
 
 
-def ran(job: Job, numbers: Iterable[int]) -> Iterator[Done]:
+def ran(job: Job, numbers: Iterable[int]) -> Iterator[Job.Done]:
     with Pool(2) as both:
         yield from both.run(job, numbers)
 
@@ -169,9 +169,9 @@ def ran(job: Job, numbers: Iterable[int]) -> Iterator[Done]:
 def test_what_a_killed_copy_leaves_is_done_by_others(monkeypatch: pytest.MonkeyPatch) -> None:
     left: list[int] = []
 
-    def others(job: Job, numbers: Iterable[int], cluster: object) -> Iterator[Done]:
+    def others(job: Job, numbers: Iterable[int], cluster: object) -> Iterator[Job.Done]:
         left.extend(numbers)
-        yield from [Done(number, "others") for number in left]
+        yield from [Job.Done(number, "others") for number in left]
 
     monkeypatch.setattr(pool, "FORKS", True)
     monkeypatch.setattr(pool, "COPY_S", 0.0)
@@ -222,7 +222,7 @@ def test_a_cluster_without_common_files_survives_a_killed_worker(tmp_path: Path)
         import json
 
         wanted = json.loads(address.read_text())["address"]
-        scheduler = Scheduler(address=wanted, ca=cert, cert=cert, key=key)
+        scheduler = Pool.Scheduler(address=wanted, ca=cert, cert=cert, key=key)
         done = make(tmp_path / "many", 16, scheduler=scheduler, progress=kill)
     finally:
         for process in running[::-1]:

@@ -17,7 +17,7 @@ import twin
 from twin.errors import InputError
 from twin.study.dataset.export import export_dataset
 from twin.study.dataset.plan import Plan
-from twin.study.dataset.reader import view_dataset
+from twin.study.dataset.reader import DatasetReader
 
 SEEN = ("force_n", "torque_nmm", "surface_mm", "marker_displacement_mm", "marker_pressed_px", "picture")
 
@@ -76,7 +76,7 @@ def test_an_unknown_format_is_refused(made: Path, tmp_path: Path) -> None:
 
 
 def test_the_contact_sheet_shows_pictures_truth_and_failures(made: Path, tmp_path: Path) -> None:
-    told = view_dataset(made, tmp_path / "sheet.html")
+    told = DatasetReader(made).write_sheet(tmp_path / "sheet.html")
     page = (tmp_path / "sheet.html").read_text()
     good = sum(row["status"] == "ok" for row in twin.open_dataset(made))
     assert "6 of 6 samples" in told

@@ -14,7 +14,7 @@ from twin.parts.load import Footprint, Load, Traction
 from twin.parts.scene import Sites
 from twin.study.dataset.audit import check_dataset
 from twin.study.dataset.columns import in_cells
-from twin.study.dataset.reader import view_dataset
+from twin.study.dataset.reader import DatasetReader
 from twin.world.elasticity.discretise import tile
 
 TWO: dict[str, Any] = {
@@ -58,7 +58,7 @@ def test_the_same_samples_whatever_the_files_and_a_sheet_of_them(made: Path, tmp
     make(tmp_path / "again", 4, small_scene((*NO_PICTURE, "surface_mm"), **TWO))
     assert contents(tmp_path / "again") == contents(made)
     make(tmp_path / "seen", 2, small_scene(("picture", "marker_outline_pressed_px", *NO_PICTURE), **TWO))
-    assert "2 of 2" in view_dataset(tmp_path / "seen", tmp_path / "sheet.html")
+    assert "2 of 2" in DatasetReader(tmp_path / "seen").write_sheet(tmp_path / "sheet.html")
 
 
 def test_how_many_samples_a_worker_made_before_does_not_matter(tmp_path: Path) -> None:

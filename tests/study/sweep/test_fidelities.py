@@ -15,12 +15,11 @@ import twin
 import twin.sense.reconstruct as solve
 from twin.arrays import Floats
 from twin.judge.resolution import DIP, dip
-from twin.parts.scene import Scene, Sites
+from twin.parts.scene import Purpose, Scene, Sites
 from twin.parts.sweep import Sweep
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
-from twin.streams import Purpose, stream
 from twin.study.calibrate import nominal_calibration
 from twin.study.doubts import View, shift_sd
 from twin.study.sensor import Sensor
@@ -124,7 +123,7 @@ def test_presses_are_at_the_places_of_a_scrambled_halton_sequence() -> None:
     sweep, scene = small()
     loads = sweep.loads.model_copy(update={"presses": 40})
     pushes = Pushes.of(scene.body, loads, (2.0, 1.5), 3)
-    u = qmc.Halton(3, scramble=True, rng=stream(3, Purpose.SAMPLING, 1)).random(40)
+    u = qmc.Halton(3, scramble=True, rng=Purpose.SAMPLING.stream(3, 1)).random(40)
     assert np.allclose(pushes.patches.centre_mm[1:41, :2], (2 * u[:, :2] - 1) * (2.0, 1.5), atol=1e-12)
 
 

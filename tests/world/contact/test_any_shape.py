@@ -17,8 +17,7 @@ from benchmarks.flat import HalfSpace
 from benchmarks.random_bodies import traction_change
 from twin.geometry.closed import PROBE_SIZE_MM, Surface
 from twin.geometry.objects import object_triangles
-from twin.parts.press import Press
-from twin.parts.probe import Cylinder, Object, Pillar, Stl
+from twin.parts.press import Cylinder, Object, Pillar, Press, Stl
 from twin.study.recipe import validate_scene
 from twin.theory import halfspace
 

@@ -11,7 +11,7 @@ import twin
 from twin.errors import ContactError, NotSettled, TwinError
 from twin.parts.body import Finger
 from twin.parts.material import Material
-from twin.parts.probe import Cone, Cylinder, Object, Pillar, Sphere
+from twin.parts.press import Cone, Cylinder, Object, Pillar, Sphere
 from twin.world.contact import round_slab, whole_body
 from twin.world.contact.body_strain import BodyStrain
 from twin.world.contact.finite_strain import measured_linearity

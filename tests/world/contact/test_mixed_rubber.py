@@ -10,7 +10,7 @@ import twin
 from twin.parts.body import Block, Finger
 from twin.parts.material import Material
 from twin.world.contact.probe_gap import Approach
-from twin.world.contact.round_slab import Grid, Slab
+from twin.world.contact.round_slab import Slab
 from twin.world.contact.whole_body import LAST_STEP, Rubber, RubberContact, SurfaceTouch
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
 from twin.world.mesh.bisection import refined
@@ -29,7 +29,7 @@ TURN = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
 TURN *= np.linalg.det(TURN)
 BODY = Block(width_mm=6, length_mm=5, thickness_mm=4)
 RADIUS, THICK = 5.0, 3.0
-GRID = Grid(RADIUS * np.array([0, 0.08, 0.16, 0.24, 0.32, 0.6, 1.0]), np.array([0, 0.3, 0.6, 0.9, 1.7, THICK]), 4)
+GRID = Slab.Grid(RADIUS * np.array([0, 0.08, 0.16, 0.24, 0.32, 0.6, 1.0]), np.array([0, 0.3, 0.6, 0.9, 1.7, THICK]), 4)
 
 
 def energy_slopes(material, first):

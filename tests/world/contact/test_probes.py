@@ -28,13 +28,12 @@ from standard_bodies import BLOCK, FINGER, write_stl
 from benchmarks.contact_theory import cone_indentation, punch_stiffness, rocking_stiffness, tangential_stiffness
 from twin.errors import ContactError, NotSettled, RecipeError
 from twin.parts.material import plane_strain_modulus
-from twin.parts.press import Press, Step
-from twin.parts.probe import Cone, Cylinder, Pillar, Sphere, Stl
+from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step, Stl
 from twin.theory import halfspace
 from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact import load_step, pressing
 from twin.world.contact.pressing import ContactState
-from twin.world.contact.probe_gap import RIM, Approach, rotation_of
+from twin.world.contact.probe_gap import RIM, Approach
 
 UPRIGHT = (0.0, 0.0, 0.0)
 
@@ -101,14 +100,14 @@ def test_round_shapes_meet_lines_where_balls_around_their_cores_do():
 
 
 def test_rotation_vectors():
-    rotation = rotation_of(np.array([0.3, -0.7, 0.5]))
+    rotation = Approach.rotation_of(np.array([0.3, -0.7, 0.5]))
     assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
 
 
 @pytest.mark.parametrize("size", [5e-324, 1e-200, 1e-101, 1e-99])
 def test_a_turn_next_to_nothing_turns_nothing(size):
     turn = np.array([size, 0.0, -size])
-    assert_allclose(rotation_of(turn), np.eye(3), atol=1e-15)
+    assert_allclose(Approach.rotation_of(turn), np.eye(3), atol=1e-15)
     here = Approach.of(Sphere(diameter_mm=3), BLOCK, np.zeros(2))
     still, turned = (here.gap(np.zeros((1, 3)), np.eye(3)[2:], np.array([0, 0, 0, *t])) for t in (0 * turn, turn))
     for one, other in zip(turned, still, strict=True):

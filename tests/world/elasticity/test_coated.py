@@ -13,14 +13,16 @@ from twin.theory import halfspace
 from twin.world.elasticity.coated import CoveredCompliance, _LocalModel
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
-from twin.world.elasticity.fem import Layer
+from twin.world.elasticity.fem import TaylorHood
 
 RUBBER = Material(youngs_modulus_mpa=1.0, poisson_ratio=0.5)
 AROUND = np.stack(np.meshgrid([-3, -1, -0.4, 0, 0.3, 1], [-2, 0, 0.5, 1.5]), -1).reshape(-1, 2)
 
 
 def covered(body, cover, material=RUBBER):
-    return CoveredCompliance(body, material, cover.thickness_mm, Layer.of_cover(material, cover), level="sketch")
+    return CoveredCompliance(
+        body, material, cover.thickness_mm, TaylorHood.Layer.of_cover(material, cover), level="sketch"
+    )
 
 
 def flat_error(stiff, cover, radius, force, depths):
@@ -64,8 +66,8 @@ def test_moduli_scale_and_equal_ones_are_no_cover():
     np.testing.assert_allclose(twice, once / 2, rtol=1e-8)
     bare = Compliance(FINGER, RUBBER, level="nominal").displacement(points, load)
     assert 0.5 < np.linalg.norm(once) / np.linalg.norm(bare) < 0.98
-    assert Layer.of_cover(RUBBER, Cover(youngs_modulus_mpa=1.0, poisson_ratio=0.5)) is None
-    assert Layer.of_cover(RUBBER, Cover()) is Layer.of_cover(RUBBER, None) is None
+    assert TaylorHood.Layer.of_cover(RUBBER, Cover(youngs_modulus_mpa=1.0, poisson_ratio=0.5)) is None
+    assert TaylorHood.Layer.of_cover(RUBBER, Cover()) is TaylorHood.Layer.of_cover(RUBBER, None) is None
 
 
 def test_only_a_cover_of_another_material_changes_the_sensor():
@@ -100,7 +102,7 @@ def test_finger_agrees_with_an_independent_code(case):
     with np.load(REFERENCE / "covered_finger.npz") as file:
         points, expected = file["points"], file[case]
     stiff = CoveredCompliance(
-        FINGER, RUBBER, 0.2, Layer.of_cover(RUBBER, Cover(youngs_modulus_mpa=10.0)), level="nominal"
+        FINGER, RUBBER, 0.2, TaylorHood.Layer.of_cover(RUBBER, Cover(youngs_modulus_mpa=10.0)), level="nominal"
     )
     force = (0, 0, 1) if case == "normal" else (1, 0, 0)
     got, estimate = stiff.answer(points, tile(Traction.bump((1.0, 0.5), 1.0, force), FINGER))

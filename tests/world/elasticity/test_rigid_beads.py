@@ -9,7 +9,7 @@ import twin
 from twin.errors import RecipeError
 from twin.files import SCENES
 from twin.parts.body import Block
-from twin.parts.markers import MarkerLayer, place
+from twin.parts.markers import MarkerLayer, MarkerSet
 from twin.sense.calibration import read_calibration
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
@@ -43,7 +43,7 @@ def gradient(p):
 @pytest.mark.parametrize("most", [rigid_beads.MOST_KEPT, 0])
 def test_every_layer_has_its_own_size_and_soft_ones_are_pushed_along(most, monkeypatch):
     monkeypatch.setattr(rigid_beads, "MOST_KEPT", most)
-    markers = place(BODY, LAYERS)
+    markers = MarkerSet.place(BODY, LAYERS)
     beads = StiffBeads.of(markers, LAYERS)
     assert (beads.per_strain is None) == (most == 0)
     change = beads.change(field, gradient(markers.points))
@@ -68,7 +68,7 @@ def test_every_layer_has_its_own_size_and_soft_ones_are_pushed_along(most, monke
 
 def test_without_a_stiff_layer_there_is_nothing_to_change():
     layers = {name: layer.model_copy(update={"stiff": False}) for name, layer in LAYERS.items()}
-    assert StiffBeads.of(place(BODY, layers), layers) is None
+    assert StiffBeads.of(MarkerSet.place(BODY, layers), layers) is None
 
 
 # --- the option of stiff beads --------------------------------------------------------------------

@@ -11,7 +11,7 @@ from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.cover_mesh import with_cover
 from twin.world.mesh.elements import TET_EDGES, boundary_triangles, signed_volumes
-from twin.world.mesh.quality import Quality, dihedral_angles, open_edges
+from twin.world.mesh.quality import Quality, open_edges
 
 
 @pytest.fixture(scope="module", params=[BLOCK, FINGER, DOME], ids=["block", "finger", "dome"])
@@ -107,7 +107,7 @@ def test_refined_mesh_is_fine_whole_and_on_the_surface(body, edge, local):
     assert got.largest_offset_mm < 1e-9
     assert got.least_volume_mm3 > 0
     assert abs(got.volume_error) <= max(1.2 * abs(Quality.of(coarse, body).volume_error), 1e-12)
-    least, before = (dihedral_angles(m.points, m.tets).min() for m in (mesh, coarse))
+    least, before = (Quality.dihedral_angles(m.points, m.tets).min() for m in (mesh, coarse))
     assert least > 0.3 * before
     assert refined(coarse, body, wanted, local=local).digest() == mesh.digest()
 

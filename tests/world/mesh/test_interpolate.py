@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from standard_bodies import BLOCK, FINGER
 
-from twin.errors import OutOfBodyError
+from twin.errors import InputError
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.elements import shapes
-from twin.world.mesh.interpolate import Locator, Recovery, require_inside
+from twin.world.mesh.interpolate import Locator, Recovery
 
 POINTS = 60_000
 
@@ -34,9 +34,9 @@ def test_points_are_read_from_their_own_element(body):
 @pytest.mark.parametrize("bad", [(9.0, 9.0, 11.0), (np.nan, 0.0, 1.0)])
 def test_points_outside_are_named(bad):
     inside = FINGER.chart_points(np.array([(0.0, 0.0), (2.0, -5.0)]))
-    require_inside(FINGER, inside)
-    with pytest.raises(OutOfBodyError, match="point 2"):
-        require_inside(FINGER, np.vstack([inside, bad]))
+    FINGER.require_inside(inside)
+    with pytest.raises(InputError, match="point 2"):
+        FINGER.require_inside(np.vstack([inside, bad]))
 
 
 def cubic(at):

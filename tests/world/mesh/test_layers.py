@@ -9,7 +9,7 @@ from standard_bodies import assert_near, forces_on, on_boundary
 from twin.errors import InputError
 from twin.files import MESHES
 from twin.parts.body import Block
-from twin.world.elasticity.fem import Layer, TaylorHood
+from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh.quadratic_mesh import Mesh
 
 BLOCK = Block(width_mm=6, length_mm=5, thickness_mm=4)
@@ -24,7 +24,7 @@ def mesh():
 
 
 def layered(mesh, nu, ratio, nu_layer, **keys):
-    return TaylorHood(mesh, nu, layers=[Layer(modulus_ratio=ratio, poisson_ratio=nu_layer)], **keys)
+    return TaylorHood(mesh, nu, layers=[TaylorHood.Layer(modulus_ratio=ratio, poisson_ratio=nu_layer)], **keys)
 
 
 def assert_exact(mesh, exact, atol, *moduli):

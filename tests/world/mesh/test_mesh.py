@@ -18,7 +18,7 @@ from twin.world.mesh.body_mesh import body_mesh, build_mesh
 from twin.world.mesh.cover_mesh import with_cover
 from twin.world.mesh.elements import TET_EDGES
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import Quality, dihedral_angles
+from twin.world.mesh.quality import Quality
 from twin.world.mesh.sizing import Sizing, WantedEdge
 from twin.world.mesh.snap import snapped_mesh
 from twin.world.mesh.tetrahedralise import remeshed
@@ -310,9 +310,9 @@ def test_a_build_gives_up_with_the_reason_when_no_try_is_good(monkeypatch, small
 def test_needles_and_flat_elements_are_mended_the_same_every_time():
     spoilt = small_mesh(jitter_mm=0.75)
     points, tets = spoilt.points[: spoilt.corners], spoilt.tets[:, :4]
-    assert dihedral_angles(points, tets).min() < 5
+    assert Quality.dihedral_angles(points, tets).min() < 5
     made = [remeshed(points, tets, np.full(len(points), 1.8), 0.1, 40.0) for _ in range(2)]
-    assert dihedral_angles(*made[0]).min() > 12
+    assert Quality.dihedral_angles(*made[0]).min() > 12
     for one, other in zip(*made, strict=True):
         np.testing.assert_array_equal(one, other)
     body = snapped_mesh(SMALL, *made[0])

@@ -10,7 +10,7 @@ from standard_bodies import forces_on, on_boundary
 
 from twin.errors import InputError, MeshError, SolveError
 from twin.parts.body import Block
-from twin.world.elasticity.fem import Layer, TaylorHood
+from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh.elements import TET_EDGES
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality
@@ -215,6 +215,6 @@ def test_layers_too_far_apart_in_stiffness_are_refused(mesh):
     middle = mesh.points[mesh.tets[:, :4], 2].mean(axis=1)
     layered = replace(mesh, region=(middle < 1.0).astype(np.int64))
     with pytest.raises(SolveError, match="differ too much in stiffness"):
-        solve(layered, layers=[Layer(modulus_ratio=1e12, poisson_ratio=0.3)])
-    stiff = TaylorHood(layered, 0.5, layers=[Layer(modulus_ratio=1e7, poisson_ratio=0.3)])
+        solve(layered, layers=[TaylorHood.Layer(modulus_ratio=1e12, poisson_ratio=0.3)])
+    stiff = TaylorHood(layered, 0.5, layers=[TaylorHood.Layer(modulus_ratio=1e7, poisson_ratio=0.3)])
     assert_allclose(stiff.reaction(push(mesh)), -FORCE, atol=1e-5)

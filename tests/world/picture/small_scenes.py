@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from standard_bodies import REFERENCE
 
-from twin.parts.markers import place
+from twin.parts.markers import MarkerSet
 from twin.parts.scene import Scene
 from twin.theory.optics import project
 from twin.world.picture.backend import Variant
@@ -30,7 +30,7 @@ def finger(**keys):
 
 
 def rest_of(scene):
-    return Ellipsoids.of(place(scene.body, scene.markers), scene.markers)
+    return Ellipsoids.of(MarkerSet.place(scene.body, scene.markers), scene.markers)
 
 
 def seen_at(points, scene):

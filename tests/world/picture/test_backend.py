@@ -17,7 +17,7 @@ from twin.study.recipe import load_scene
 from twin.study.run import run
 from twin.study.sensor import Sensor
 from twin.world.picture import backend
-from twin.world.picture.backend import REMEDY, Variant, check_machine
+from twin.world.picture.backend import REMEDY, Variant
 
 LARGE = {"camera.width_px": 8192, "camera.height_px": 8192}
 
@@ -165,11 +165,11 @@ def _free(tmp_path, monkeypatch):
 
 def test_a_pupil_takes_a_view_for_every_point_and_no_camera_takes_nothing(free):
     free(0)
-    check_machine(load_scene("block_bare"))
+    Variant.check_machine(load_scene("block_bare"))
     needed = []
     for aperture in (0, 0.5):
         with pytest.raises(MissingCapability) as refused:
-            check_machine(load_scene("kamiyama_pillar", {**LARGE, "camera.aperture_mm": aperture}))
+            Variant.check_machine(load_scene("kamiyama_pillar", {**LARGE, "camera.aperture_mm": aperture}))
         needed.append(float(str(refused.value).split(" GB")[0].split()[-1]))
     assert 3.5 < needed[1] / needed[0] < 5
 

@@ -13,7 +13,7 @@ from twin.errors import RecipeError
 from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.material import Cover
 from twin.parts.part import identity
-from twin.parts.probe import Cylinder
+from twin.parts.press import Cylinder
 from twin.world.contact.probe_gap import Approach, PlacedProbe
 from twin.world.picture.ccd import Pattern, expose
 from twin.world.picture.cover import CoverMotion

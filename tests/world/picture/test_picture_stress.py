@@ -7,7 +7,7 @@ from small_scenes import RED, SPLAT, beads, block, changed, finger, rest_of, see
 from standard_bodies import FINGER
 
 from twin.errors import InputError, RecipeError
-from twin.parts.markers import MarkerLayer, Prints, place
+from twin.parts.markers import MarkerLayer, MarkerSet
 from twin.world.picture.ccd import expose
 from twin.world.picture.ellipsoids import PRINT_THICKNESS, Ellipsoids
 from twin.world.picture.render import Renderer
@@ -142,7 +142,7 @@ LAYERS = {
 
 @pytest.fixture(name="markers")
 def _markers():
-    return place(FINGER, LAYERS)
+    return MarkerSet.place(FINGER, LAYERS)
 
 
 def metric(axes):
@@ -179,7 +179,7 @@ def test_strain_stretches_prints_and_only_turns_beads(markers):
 def test_prints_of_their_own_size_shade_and_absence(markers):
     size, shade = np.linspace(0.9, 1.1, 13), np.linspace(0.5, 1.2, 13)
     missing = np.arange(13) == 3
-    found = Ellipsoids.of(markers, LAYERS, prints=Prints(size=size, shade=shade, missing=missing))
+    found = Ellipsoids.of(markers, LAYERS, prints=MarkerSet.Prints(size=size, shade=shade, missing=missing))
     plain = Ellipsoids.of(markers, LAYERS)
     assert_array_equal(found.present, ~missing)
     assert_allclose(found.axes[~missing], (plain.axes * size[:, None, None])[~missing])

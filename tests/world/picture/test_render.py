@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from small_scenes import SPLAT, beads, block, changed, finger, measured, mitsuba, rest_of, seen_at
 
 from twin.errors import RecipeError
-from twin.parts.markers import place
-from twin.parts.scene import Accuracy
+from twin.parts.markers import MarkerSet
+from twin.parts.scene import Scene
 from twin.world.picture.camera_rays import View
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import Lamps
@@ -69,7 +69,7 @@ def test_the_picture_shows_what_the_outlines_say(scene, renderer):
 
 def test_moved_markers_leave_nothing_of_the_picture_before(scene, renderer):
     renderer.radiance(rest_of(scene))
-    moved = Ellipsoids.of(place(scene.body, scene.markers), scene.markers, np.full((10, 3), 0.2))
+    moved = Ellipsoids.of(MarkerSet.place(scene.body, scene.markers), scene.markers, np.full((10, 3), 0.2))
     fresh = Renderer(scene, rest_of(scene), renderer.variant).radiance(moved)
     assert_array_equal(renderer.radiance(moved), fresh)
 
@@ -199,7 +199,7 @@ def test_a_number_takes_the_cheapest_way_that_meets_it(scene, monkeypatch):
     monkeypatch.delenv("TWIN_VARIANT", raising=False)
     grids = []
     for asked in (0.3, 0.1, 0.05, 0.02, 0.01, 0.006, 0.004):
-        wanted = scene.model_copy(update={"accuracy": Accuracy(centroid_px=asked)})
+        wanted = scene.model_copy(update={"accuracy": Scene.Accuracy(centroid_px=asked)})
         renderer = Renderer(wanted, rest_of(wanted))
         assert renderer.variant.name == "splat"
         assert renderer.centroid_error_px <= asked
@@ -207,7 +207,7 @@ def test_a_number_takes_the_cheapest_way_that_meets_it(scene, monkeypatch):
         grids.append(renderer.subpixels)
     assert grids == sorted(grids)
     assert grids[0] == 1
-    finest = Renderer(scene.model_copy(update={"accuracy": Accuracy(centroid_px=1e-4)}), rest_of(scene))
+    finest = Renderer(scene.model_copy(update={"accuracy": Scene.Accuracy(centroid_px=1e-4)}), rest_of(scene))
     assert (finest.subpixels, Renderer(scene, rest_of(scene), SPLAT).subpixels) == (16, 3)
 
 
@@ -300,7 +300,7 @@ def test_threads_do_not_change_a_byte(name, monkeypatch):
 @pytest.mark.slow
 def test_moving_markers_compiles_nothing_again():
     scene = block()
-    points = place(scene.body, scene.markers)
+    points = MarkerSet.place(scene.body, scene.markers)
     renderer = Renderer(scene, rest_of(scene), mitsuba(), subpixels=1)
     import drjit
 

@@ -36,57 +36,59 @@ def with_values(
     RecipeError
         A key is not there, or a value is not allowed.
     """
-    table = plain_table(scene)
-    put(table, values, follows)
+    table = SceneTable.of(scene)
+    table.put(values, follows)
     made = validate_scene(table, "drawn scene")
     return made.model_copy(update={"vary": scene.vary, "dataset": scene.dataset})
 
 
-def plain_table(scene: Scene) -> Table:
-    """Return the scene's plain values, without provenance and without what varies."""
-    table: Table = _bare(scene.model_dump(mode="python", exclude=set(_HOLDERS), exclude_none=True))
-    return table
+class SceneTable(dict[str, Any]):
+    """A table of plain values with dotted keys, such as ``press.steps.1.force_n``."""
 
+    @staticmethod
+    def of(scene: Scene) -> SceneTable:
+        """Return a scene's values, without provenance and without what varies."""
+        values = scene.model_dump(mode="python", exclude=set(_HOLDERS), exclude_none=True)
+        return SceneTable(_bare(values))
 
-def put(
-    table: Table, values: Mapping[str, Any], follows: Mapping[str, Distribution] | None = None
-) -> None:
-    """Put values into a table at dotted keys, then those that follow others.
+    def put(
+        self, values: Mapping[str, Any], follows: Mapping[str, Distribution] | None = None
+    ) -> None:
+        """Put values at dotted keys, then those that follow others.
 
-    A path given to a press replaces the one it had.
-    """
-    for key, value in values.items():
-        _put(table, key, value)
-    for key, axis in (follows or {}).items():
-        if isinstance(axis, Follows):
-            value_of = look_up(table, axis.follows)
-            if isinstance(value_of, bool) or not isinstance(value_of, int | float):
-                raise RecipeError(
-                    f"vary.{key}: follows '{axis.follows}', which is not a number but {value_of!r}"
-                )
-            _put(table, key, axis.times * value_of + axis.plus)
+        A path given to a press replaces the one it had.
+        """
+        for key, value in values.items():
+            self._put(key, value)
+        for key, axis in (follows or {}).items():
+            if isinstance(axis, Follows):
+                value_of = self.look_up(axis.follows)
+                if isinstance(value_of, bool) or not isinstance(value_of, int | float):
+                    raise RecipeError(
+                        f"vary.{key}: follows '{axis.follows}', which is not a number but "
+                        f"{value_of!r}"
+                    )
+                self._put(key, axis.times * value_of + axis.plus)
 
+    def _put(self, dotted: str, value: Any) -> None:
+        *parents, last = dotted.split(".")
+        here: Any = self
+        for name in parents:
+            here = _step(here, name, dotted)
+        if isinstance(here, dict):
+            if parents == ["press"] and last in ALTERNATIVES:
+                for other in ALTERNATIVES:
+                    here.pop(other, None)
+            here[last] = deepcopy(value)
+        else:
+            here[_place(here, last, dotted)] = deepcopy(value)
 
-def _put(table: Table, dotted: str, value: Any) -> None:
-    *parents, last = dotted.split(".")
-    here: Any = table
-    for name in parents:
-        here = _step(here, name, dotted)
-    if isinstance(here, dict):
-        if parents == ["press"] and last in ALTERNATIVES:
-            for other in ALTERNATIVES:
-                here.pop(other, None)
-        here[last] = deepcopy(value)
-    else:
-        here[_place(here, last, dotted)] = deepcopy(value)
-
-
-def look_up(table: Table, dotted: str) -> Any:
-    """Return the value at a dotted key, or raise `RecipeError`."""
-    here: Any = table
-    for name in dotted.split("."):
-        here = _step(here, name, dotted)
-    return here
+    def look_up(self, dotted: str) -> Any:
+        """Return the value at a dotted key, or raise `RecipeError`."""
+        here: Any = self
+        for name in dotted.split("."):
+            here = _step(here, name, dotted)
+        return here
 
 
 def _step(here: Any, name: str, dotted: str) -> Any:

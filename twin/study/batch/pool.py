@@ -87,20 +87,19 @@ _LOCAL_SETTINGS = {
 half of dask's CPU time."""
 
 
-@dataclass(frozen=True)
-class Done:
-    """A finished task: its number, and what it returned or what went wrong."""
-
-    number: int
-    result: Any = None
-    problem: str | None = None
-
-
 @dataclass(frozen=True, kw_only=True)
 class Job:
     """What every worker needs: files' contents by relative path, and the function that computes a
     task, as ``module:name``.
     """
+
+    @dataclass(frozen=True)
+    class Done:
+        """A finished task: its number, and what it returned or what went wrong."""
+
+        number: int
+        result: Any = None
+        problem: str | None = None
 
     files: Mapping[str, bytes]
     work: str
@@ -124,47 +123,6 @@ class Job:
             yield folder
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scheduler:
-    """A dask scheduler on a cluster.
-
-    Whoever can connect to it can run code as the user of its workers and of this process: without
-    TLS it belongs on a private network only.
-
-    Attributes
-    ----------
-    address
-        ``tcp://host:8786``, or ``tls://host:8786`` with the three files.
-    ca, cert, key
-        PEM files: the authority that signed all certificates, and the certificate and key of this
-        process.
-    """
-
-    address: str
-    ca: Path | None = None
-    cert: Path | None = None
-    key: Path | None = None
-
-    def __post_init__(self) -> None:
-        """Raise `InputError` unless the files are given together, exist, and go with tls://."""
-        files = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
-        for name, file in files.items():
-            if file is not None and not file.is_file():
-                raise InputError(f"{name} {file}: there is no such file")
-        encrypted = self.address.startswith("tls://")
-        missing = [name for name, file in files.items() if file is None]
-        if encrypted and missing:
-            raise InputError(f"--scheduler {self.address}: needs {', '.join(missing)}, too")
-        if not encrypted and len(missing) < len(files):
-            raise InputError(
-                f"--scheduler {self.address}: must start with tls:// where --tls files are given"
-            )
-
-    def reach(self) -> None:
-        """Connect to it, before anything is written for it; `InputError` where that fails."""
-        _connected(self).close()
-
-
 class Pool:
     """This process, processes on this machine that start when they pay, or a cluster.
 
@@ -172,6 +130,47 @@ class Pool:
     and computes all of them if that takes less time than others take to start. ``workers`` is the
     most processes here (1 works in this one); a ``scheduler``'s are used instead.
     """
+
+    @dataclass(frozen=True, kw_only=True)
+    class Scheduler:
+        """A dask scheduler on a cluster.
+
+        Whoever can connect to it can run code as the user of its workers and of this process:
+        without TLS it belongs on a private network only.
+
+        Attributes
+        ----------
+        address
+            ``tcp://host:8786``, or ``tls://host:8786`` with the three files.
+        ca, cert, key
+            PEM files: the authority that signed all certificates, and the certificate and key of
+            this process.
+        """
+
+        address: str
+        ca: Path | None = None
+        cert: Path | None = None
+        key: Path | None = None
+
+        def __post_init__(self) -> None:
+            """Raise `InputError` unless the files are given together, exist, and go with tls://."""
+            files = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
+            for name, file in files.items():
+                if file is not None and not file.is_file():
+                    raise InputError(f"{name} {file}: there is no such file")
+            encrypted = self.address.startswith("tls://")
+            missing = [name for name, file in files.items() if file is None]
+            if encrypted and missing:
+                raise InputError(f"--scheduler {self.address}: needs {', '.join(missing)}, too")
+            if not encrypted and len(missing) < len(files):
+                raise InputError(
+                    f"--scheduler {self.address}: must start with tls:// where --tls files are "
+                    "given"
+                )
+
+        def reach(self) -> None:
+            """Connect to it, before anything is written for it; `InputError` where that fails."""
+            _connected(self).close()
 
     def __init__(self, workers: int = 1, scheduler: Scheduler | None = None) -> None:
         self._workers = workers
@@ -186,7 +185,7 @@ class Pool:
     def __exit__(self, *raised: object) -> None:
         self._started.close()
 
-    def run(self, job: Job, numbers: Iterable[int]) -> Iterator[Done]:
+    def run(self, job: Job, numbers: Iterable[int]) -> Iterator[Job.Done]:
         """Compute tasks, in the order of their numbers, and yield them as they finish.
 
         Raises
@@ -212,7 +211,7 @@ class Pool:
         if time.process_time() > _limit_s[0]:
             raise _TooLong
 
-    def _run_on_this_machine(self, job: Job, waiting: deque[int]) -> Iterator[Done]:
+    def _run_on_this_machine(self, job: Job, waiting: deque[int]) -> Iterator[Job.Done]:
         """Compute tasks in this process and its copies, and take them off the list; what is left is
         for other processes."""
         if not self._copies:
@@ -225,7 +224,7 @@ class Pool:
                 yield from self._run_here(job, waiting, START_S)
         yield from self._run_in_copies(job, waiting)
 
-    def _run_in_copies(self, job: Job, waiting: deque[int]) -> Iterator[Done]:
+    def _run_in_copies(self, job: Job, waiting: deque[int]) -> Iterator[Job.Done]:
         """Compute tasks in copies of this process, and take them off the list; what is left when a
         copy has died is for other workers."""
         idle, given = self._copies, dict[Any, int]()
@@ -238,7 +237,7 @@ class Pool:
                     pipe.send((job.work, self._folders[job.name], given[pipe]))
                 ready: list[Any] = wait(given)
                 for pipe in ready:
-                    done: Done = pipe.recv()
+                    done: Job.Done = pipe.recv()
                     del given[pipe]
                     idle.append(pipe)
                     yield done
@@ -247,7 +246,7 @@ class Pool:
         else:
             self._copies = idle
 
-    def _run_here(self, job: Job, waiting: deque[int], start_s: float) -> Iterator[Done]:
+    def _run_here(self, job: Job, waiting: deque[int], start_s: float) -> Iterator[Job.Done]:
         """Compute tasks in this process until other processes pay, which take ``start_s`` to start,
         and take them off the list."""
         gain = 1.0 - 1.0 / min(self._workers, len(waiting))
@@ -260,7 +259,7 @@ class Pool:
                 with _limited(started + start_s if gain and not done else math.inf):
                     result = work(folder, waiting[0])
                 done += 1
-                yield Done(waiting.popleft(), result)
+                yield Job.Done(waiting.popleft(), result)
                 left_s = len(waiting) * (time.process_time() - started) / done
                 if left_s * gain > start_s:
                     return
@@ -300,7 +299,7 @@ class Pool:
                 yield cluster
 
     @staticmethod
-    def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator[Done]:
+    def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator[Job.Done]:
         """Compute tasks on `workers_here`, or a scheduler's workers; yield them as they finish."""
         from distributed import as_completed
         from distributed.diagnostics.plugin import WorkerPlugin
@@ -419,7 +418,7 @@ _unpacked: dict[str, tuple[ExitStack, Path]] = {}
 """The job that this worker process has unpacked last, by its name."""
 
 
-def _tasks_on_worker(name: str, work: str, numbers: Sequence[int]) -> tuple[list[Done], float]:
+def _tasks_on_worker(name: str, work: str, numbers: Sequence[int]) -> tuple[list[Job.Done], float]:
     """Compute tasks of an unpacked job on a dask worker; return them and their CPU seconds."""
     if name not in _unpacked:
         raise RuntimeError("this worker has not received the job's files")
@@ -429,11 +428,11 @@ def _tasks_on_worker(name: str, work: str, numbers: Sequence[int]) -> tuple[list
     return [_tried(function, folder, number) for number in numbers], time.process_time() - started
 
 
-def _tried(function: Work, folder: Path, number: int) -> Done:
+def _tried(function: Work, folder: Path, number: int) -> Job.Done:
     try:
-        return Done(number, function(folder, number))
+        return Job.Done(number, function(folder, number))
     except Exception as problem:  # whatever it is, the other tasks go on
-        return Done(number, problem=f"{type(problem).__name__}: {problem}")
+        return Job.Done(number, problem=f"{type(problem).__name__}: {problem}")
 
 
 def _unpack_on_worker(job: Job) -> None:
@@ -476,7 +475,7 @@ def _silence() -> None:
 
 
 def _connected(cluster: Any) -> Any:
-    """Return a client of `Pool.workers_here`, or of a `Scheduler`.
+    """Return a client of `Pool.workers_here`, or of a `Pool.Scheduler`.
 
     Raises an `InputError` where the scheduler can't be reached, or doesn't accept the certificate.
     """
@@ -484,7 +483,7 @@ def _connected(cluster: Any) -> Any:
     from distributed.security import Security
 
     _silence()
-    if not isinstance(cluster, Scheduler):
+    if not isinstance(cluster, Pool.Scheduler):
         return Client(cluster, timeout=PATIENCE_S, direct_to_workers=True)
     try:
         security = None
@@ -507,7 +506,7 @@ def _connected(cluster: Any) -> Any:
         ) from None
 
 
-def _outcome(numbers: list[int], future: Any) -> tuple[list[Done], float | None]:
+def _outcome(numbers: list[int], future: Any) -> tuple[list[Job.Done], float | None]:
     """Return the outcome of tasks, and their CPU seconds; None if they were lost."""
     problem = future.exception()
     if problem is None:
@@ -515,9 +514,9 @@ def _outcome(numbers: list[int], future: Any) -> tuple[list[Done], float | None]
         return found, seconds
     if type(problem).__name__ == "KilledWorker":
         died = f"its worker died {RETRIES} times (out of memory?); run again to repeat it"
-        return [Done(number, problem=f"task {number}: {died}") for number in numbers], None
+        return [Job.Done(number, problem=f"task {number}: {died}") for number in numbers], None
     text = f"{type(problem).__name__}: {problem}"
-    return [Done(number, problem=text) for number in numbers], None
+    return [Job.Done(number, problem=text) for number in numbers], None
 
 
 @contextmanager
@@ -584,7 +583,7 @@ PACKAGES = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pyarrow", "deflate")
 
 PACKAGE = Path(__file__).resolve().parents[2]
 
-COUNTED = ("arrays.py", "files.py", "streams.py", "geometry", "parts", "theory", "world", "study")
+COUNTED = ("arrays.py", "files.py", "geometry", "parts", "theory", "world", "study")
 """Sources on which the numbers depend."""
 
 

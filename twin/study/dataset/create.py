@@ -26,7 +26,7 @@ from twin.files import file_digest, make_folder, write_json, write_whole
 from twin.parts.material import Material
 from twin.parts.scene import Scene
 from twin.parts.shape import StlFile
-from twin.study.batch.pool import Done, Job, Pool, Scheduler, counted, only_writer
+from twin.study.batch.pool import Job, Pool, counted, only_writer
 from twin.study.dataset.audit import FIGURES, audit
 from twin.study.dataset.columns import Column
 from twin.study.dataset.plan import Places, Plan
@@ -61,7 +61,7 @@ def create_dataset(
     samples: int,
     *,
     workers: int = 1,
-    scheduler: Scheduler | None = None,
+    scheduler: Pool.Scheduler | None = None,
     progress: Progress | None = None,
 ) -> _Outcome:
     """Make a dataset, or what is missing of it.
@@ -91,9 +91,9 @@ def create_dataset(
     plan = Plan(scene, samples)
     plan.check()
     if "picture" in plan.needs and scheduler is None:
-        from twin.world.picture.backend import check_machine
+        from twin.world.picture.backend import Variant
 
-        check_machine(scene, at_once=min(workers, plan.shards))
+        Variant.check_machine(scene, at_once=min(workers, plan.shards))
     if plan.alike:
         warnings.warn(plan.alike, stacklevel=2)
     if scheduler is not None:
@@ -163,7 +163,7 @@ def _made(
     )
 
 
-def _write(places: Places, done: Done) -> dict[str, str]:
+def _write(places: Places, done: Job.Done) -> dict[str, str]:
     """Write a shard's files, add their checksums to the list, and return them."""
     shard: Any = done.result
     files = {places.shard(done.number): shard.samples}

@@ -20,11 +20,10 @@ from twin.files import file_digest
 from twin.parts.load import Footprint, Load
 from twin.parts.part import Part, in_words
 from twin.parts.press import Press
-from twin.parts.scene import Scene
+from twin.parts.scene import Purpose, Scene
 from twin.parts.shape import StlFile
 from twin.parts.vary import Choice, Distribution, Follows, ForceCone, Normal, Uniform
-from twin.streams import Purpose, stream
-from twin.study.batch.draw import Sampling, Table, plain_table, put, with_values
+from twin.study.batch.draw import Sampling, SceneTable, Table, with_values
 from twin.study.batch.pool import Job
 from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR, Column, Kind, Need
 
@@ -147,8 +146,8 @@ class Plan:
         )
 
     @cached_property
-    def _plain(self) -> Table:
-        return plain_table(self.scene)
+    def _plain(self) -> SceneTable:
+        return SceneTable.of(self.scene)
 
     def press_values(self, samples: range) -> list[Table]:
         """Return what is drawn for the samples, by dotted key."""
@@ -165,8 +164,8 @@ class Plan:
 
     def press_table(self, values: Table) -> Any:
         """Return the plain table of a press, or the tables of tractions, with drawn values."""
-        table = {self.load_table: deepcopy(self._plain.get(self.load_table, {}))}
-        put(table, values, self.press_axes)
+        table = SceneTable({self.load_table: deepcopy(self._plain.get(self.load_table, {}))})
+        table.put(values, self.press_axes)
         return table[self.load_table]
 
     def press_of(self, table: Any) -> Press | Load:
@@ -281,10 +280,10 @@ def _unit_numbers(
     if width == 0 or not numbers:
         return np.zeros((len(numbers), width))
     if sampling == "random":
-        return np.array([stream(seed, purpose, number).random(width) for number in numbers])
+        return np.array([purpose.stream(seed, number).random(width) for number in numbers])
     from scipy.stats import qmc
 
-    sequence = qmc.Sobol(taken + width, scramble=True, rng=stream(seed, purpose))
+    sequence = qmc.Sobol(taken + width, scramble=True, rng=purpose.stream(seed))
     first, last = min(numbers), max(numbers)
     with warnings.catch_warnings():  # a part of the sequence need not be a power of two
         warnings.simplefilter("ignore", UserWarning)

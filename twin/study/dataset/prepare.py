@@ -14,13 +14,12 @@ from twin.arrays import Progress
 from twin.errors import InputError
 from twin.files import file_digest, write_json, write_whole
 from twin.parts.body import Block, Solid
-from twin.parts.probe import Stl
+from twin.parts.press import Stl
 from twin.parts.scene import Scene
 from twin.parts.shape import StlFile
 from twin.parts.vary import Choice
 from twin.study.batch.pool import versions
 from twin.study.dataset.plan import FORMAT, Places, Plan
-from twin.study.recipe import dump_scene
 
 
 def prepare(plan: Plan, places: Places, progress: Progress | None) -> Plan:
@@ -50,7 +49,7 @@ def prepare(plan: Plan, places: Places, progress: Progress | None) -> Plan:
 def _put_down(scene: Scene, files: Mapping[str, Path], meta: Path) -> None:
     """Write the scene and the its files, where they are missing or changed."""
     contents = {name: path.read_bytes() for name, path in files.items()}
-    for name, data in {**contents, "scene.toml": dump_scene(scene).encode()}.items():
+    for name, data in {**contents, "scene.toml": scene.to_toml().encode()}.items():
         if not (meta / name).is_file() or (meta / name).read_bytes() != data:
             write_whole(meta / name, data)
 
@@ -62,7 +61,7 @@ def _pin_meshes(meta: Path, progress: Progress | None) -> None:
     from twin.study.sensor import Sensor
     from twin.world.elasticity.block_table import Table
     from twin.world.elasticity.compliance import Compliance
-    from twin.world.mesh.body_mesh import body_mesh, mesh_file, shipped_mesh
+    from twin.world.mesh.body_mesh import body_mesh, shipped_mesh
     from twin.world.mesh.sizing import WORLD, Sizing
 
     there = load_scene(meta / "scene.toml")
@@ -75,8 +74,9 @@ def _pin_meshes(meta: Path, progress: Progress | None) -> None:
         levels |= {*WORLD[-2:]}  # for the audit: the finest, and the one for its error
     for each in sorted(levels, key=WORLD.index):
         mesh = body_mesh(body, each, progress=progress)
-        key = Sizing.of(body, each).mesh_key(body)
-        mesh.write(meta / mesh_file(key), {"key": key, "level": each, "body": body.geometry()})
+        sizing = Sizing.of(body, each)
+        facts = {"key": sizing.mesh_key(body), "level": each, "body": body.geometry()}
+        mesh.write(meta / sizing.mesh_file(body), facts)
     if isinstance(body, Block):
         for role in ("truth", "check"):
             if Table.find(body, role, make=True, progress=progress) is not None:
@@ -88,7 +88,7 @@ def _info(plan: Plan, meshes: Mapping[str, str]) -> dict[str, Any]:
     """Return what info.json holds; ``meshes`` are the checksums of their files."""
     scene = plan.scene
     identity = {
-        "scene": dump_scene(scene),
+        "scene": scene.to_toml(),
         "columns": [c.name for c in plan.row_columns],
         "meshes": dict(meshes),
         "format": FORMAT,

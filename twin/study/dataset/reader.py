@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats, Picture, Pixels, Points
-from twin.display import nice
+from twin.arrays import Floats, Picture, Pixels, Points, nice
 from twin.errors import InputError, did_you_mean
 from twin.files import LARGEST_PX, picture_of_png, write_whole
 from twin.parts.camera import Camera
@@ -232,6 +231,33 @@ class DatasetReader:
                 )
         return self._group[1], first
 
+    def write_sheet(self, page: Path) -> str:
+        """Write the contact sheet and return a line about it.
+
+        Raises
+        ------
+        InputError
+            It holds no samples yet, or no pixels to draw.
+        """
+        if len(self) == 0:
+            raise InputError(f"{self.places.folder}: holds no samples yet")
+        if "marker_pressed_px" not in self.columns:
+            raise InputError(f"{self.places.folder}: the sheet needs the column marker_pressed_px")
+        rows = np.unique(np.linspace(0, len(self) - 1, min(SHOWN, len(self))).astype(int))
+        samples = [self[int(row)] for row in rows]
+        gain = _gain(self, samples)
+        figures = two_columns([_figure(self, sample, gain) for sample in samples])
+        facts = [f"{len(self)} rows, {len(rows)} shown", f"columns: {', '.join(self.columns)}"]
+        items = "".join(f"<li>{escape(fact)}</li>" for fact in facts)
+        note = (
+            f"Lines: shift of each marker, {gain:g} times as long as it is. Yellow: where the body "
+            "is touched."
+        )
+        sections = [("The set", f"<ul>{items}</ul>"), ("Samples", figures)]
+        text = html_page.page(self.info["title"] or "Dataset", note, [], sections)
+        write_whole(page, text.encode())
+        return f"{page}: {len(rows)} of {len(self)} samples"
+
 
 def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> DatasetReader:
     """Open a dataset made by ``twin dataset``.
@@ -277,35 +303,6 @@ SHOWN = 24
 
 _LONGEST = 0.05
 """Length of a drawn shift over the picture's width, of the sample with the median largest one."""
-
-
-def view_dataset(folder: Path, page: Path) -> str:
-    """Write the contact sheet of a dataset and return a line about it.
-
-    Raises
-    ------
-    InputError
-        It is no dataset, or holds no samples yet, or no pixels to draw.
-    """
-    reader = DatasetReader(folder)
-    if len(reader) == 0:
-        raise InputError(f"{folder}: holds no samples yet")
-    if "marker_pressed_px" not in reader.columns:
-        raise InputError(f"{folder}: the sheet needs the column marker_pressed_px")
-    rows = np.unique(np.linspace(0, len(reader) - 1, min(SHOWN, len(reader))).astype(int))
-    samples = [reader[int(row)] for row in rows]
-    gain = _gain(reader, samples)
-    figures = two_columns([_figure(reader, sample, gain) for sample in samples])
-    facts = [f"{len(reader)} rows, {len(rows)} shown", f"columns: {', '.join(reader.columns)}"]
-    items = "".join(f"<li>{escape(fact)}</li>" for fact in facts)
-    note = (
-        f"Lines: shift of each marker, {gain:g} times as long as it is. Yellow: where the body is "
-        "touched."
-    )
-    sections = [("The set", f"<ul>{items}</ul>"), ("Samples", figures)]
-    text = html_page.page(reader.info["title"] or "Dataset", note, [], sections)
-    write_whole(page, text.encode())
-    return f"{page}: {len(rows)} of {len(reader)} samples"
 
 
 def _gain(reader: DatasetReader, samples: Sequence[dict[str, Any]]) -> float:

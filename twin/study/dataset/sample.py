@@ -27,13 +27,12 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Picture
 from twin.errors import ContactError, RecipeError, TwinError
-from twin.files import cache_folder, pin, pinned, png_bytes
+from twin.files import PINNED, cache_folder, png_bytes
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
 from twin.parts.part import Part
-from twin.parts.scene import Scene, Sites
+from twin.parts.scene import Purpose, Scene, Sites
 from twin.parts.shape import StlFile
-from twin.streams import Purpose
 from twin.study.batch.draw import Table, with_values
 from twin.study.batch.pool import Pool
 from twin.study.dataset.columns import Column, in_cells
@@ -151,10 +150,10 @@ class _MadeSensor:
     @cached_property
     def renderer(self) -> Renderer:
         """The camera's view, traced by one thread."""
-        from twin.world.picture.mitsuba_tracer import one_thread
+        from twin.world.picture.mitsuba_tracer import MitsubaTracer
 
         renderer = self.sensor.renderer
-        one_thread()
+        MitsubaTracer.use_one_thread()
         return renderer
 
 
@@ -382,7 +381,7 @@ def _working(folder: Path) -> Iterator[_Workshop]:
     os.environ["TWIN_CACHE"] = str(base if base.name == "one-thread" else base / "one-thread")
     cache_folder.cache_clear()
     try:
-        with pin(folder):
+        with PINNED.to(folder):
             yield shop
     finally:
         if before is None:
@@ -559,7 +558,7 @@ def _finer(made: _MadeSensor) -> _MadeSensor:
         "contact_increments": min(_MOST_INCREMENTS, 2 * scene.accuracy.contact_increments),
         "surface_table": False,
     }
-    folder = pinned()
+    folder = PINNED.folder
     if folder is not None and (folder / _finest_mesh_file(scene.body)).is_file():
         changes["displacement"] = _BEST
     finest = scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update=changes)})
@@ -569,7 +568,6 @@ def _finer(made: _MadeSensor) -> _MadeSensor:
 def _finest_mesh_file(body: Body) -> str:
     """Return the name of the file of the body's finest mesh, which is there for bodies that ship
     with one."""
-    from twin.world.mesh.body_mesh import mesh_file
     from twin.world.mesh.sizing import WORLD, Sizing
 
-    return mesh_file(Sizing.of(body, WORLD[-1]).mesh_key(body))
+    return Sizing.of(body, WORLD[-1]).mesh_file(body)

@@ -31,14 +31,13 @@ from twin.parts.load import Load, Traction
 from twin.parts.methods import CentreMethod, Method
 from twin.parts.part import identity
 from twin.parts.press import Cylinder, Press, Sphere, Step
-from twin.parts.scene import Scene
+from twin.parts.scene import Purpose, Scene
 from twin.parts.sweep import GF
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import Field, reconstruct
 from twin.sense.track import Found
 from twin.show.figure_panels import Panel
-from twin.streams import Purpose, stream
-from twin.study.calibrate import calibrate_by_presses, calibration_of, half_space_compliance
+from twin.study.calibrate import calibration_of, half_space_compliance
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
 from twin.theory.optics import project_with_jacobian
@@ -440,16 +439,6 @@ def _rounded(value: float | None) -> float | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """The results of an entry: its records, the drawings of its picture, and notes for the
-    page."""
-
-    records: Sequence[Record]
-    panels: Sequence[Panel] = ()
-    notes: Sequence[str] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
 class Entry:
     """One table or figure.
 
@@ -466,6 +455,15 @@ class Entry:
     long
         Whether the quick form leaves it out unless it is named.
     """
+
+    @dataclass(frozen=True, kw_only=True)
+    class Outcome:
+        """The results of an entry: its records, the drawings of its picture, and notes for the
+        page."""
+
+        records: Sequence[Record]
+        panels: Sequence[Panel] = ()
+        notes: Sequence[str] = ()
 
     name: str
     title: str
@@ -823,7 +821,7 @@ class Bench:
         """Return a variant of the finger's calibration by presses; every variant is made once."""
         rig = self.rig("sato", overrides=overrides)
         key = ("by presses", repr(sorted(overrides.items())))
-        return self.once(key, lambda: calibrate_by_presses(rig.sensor))
+        return self.once(key, lambda: calibration_of(rig.sensor, kept=False))
 
 
 def _mean_numbers(runs: Sequence[Numbers]) -> Numbers:
@@ -1114,7 +1112,7 @@ class ForceLine:
                 exposure = first + 1000 * axis + 100 * repeat + number
                 rig.motion(state.load)  # kept; its error is noted
                 field = chain.solved(bench, rig, chain.film(rig, state.load, exposure))
-                noise = stream(rig.scene.seed, Purpose.LOAD_CELL, exposure).standard_normal()
+                noise = Purpose.LOAD_CELL.stream(rig.scene.seed, exposure).standard_normal()
                 cell = rig.scene.calibration.load_cell_n * noise
                 applied.append((state.force_n[axis] + cell) / GF)
                 measured.append(field.total_force_n[axis] / GF)

@@ -39,7 +39,6 @@ from twin.study.reproduce.bench import (
     Entry,
     ForceLine,
     Numbers,
-    Outcome,
     Protocol,
     Quantity,
     Record,
@@ -206,7 +205,7 @@ def _limit_numbers(limit: Limit) -> Numbers:
     }
 
 
-def _conclusion(bench: Bench) -> Outcome:
+def _conclusion(bench: Bench) -> Entry.Outcome:
     records: list[Record] = []
     for number, (name, chain) in enumerate(FLAT.items()):
         if bench.quick and number in (1, 2, 3):
@@ -226,7 +225,7 @@ def _conclusion(bench: Bench) -> Outcome:
         f"taken it comes near. The forces are {FORCE_N:g} N on discs of 0.5 mm radius, the paper's "
         "tracker being the two-pass centroid; the closed form is of a half-space seen straight on."
     )
-    return Outcome(records=records, panels=(_limit_curves(),), notes=(note,))
+    return Entry.Outcome(records=records, panels=(_limit_curves(),), notes=(note,))
 
 
 def _limit_curves() -> Panel:
@@ -289,7 +288,7 @@ def _predicted(bench: Bench, name: str, chain: Chain, printed_mm: float | None) 
     return records + Record.of_runs([{Quantity(NOISE, "px"): noise, **limits}], label=name)
 
 
-def _prediction(bench: Bench) -> Outcome:
+def _prediction(bench: Bench) -> Entry.Outcome:
     made = Chain(paper="sato", overrides=DRAWN, method="pinv")
     chains = {
         "pitch 2.5 mm, diameter 0.5 mm, as made": made,
@@ -306,7 +305,7 @@ def _prediction(bench: Bench) -> Outcome:
         "rule is that resolution is twice the pitch; the finger is calibrated from its drawing "
         "here, as 121 points would take 363 presses."
     )
-    return Outcome(records=records, panels=[_narrow_forces(bench, chains)], notes=(note,))
+    return Entry.Outcome(records=records, panels=[_narrow_forces(bench, chains)], notes=(note,))
 
 
 def _narrow_forces(bench: Bench, chains: Mapping[str, Chain]) -> Panel:
@@ -319,7 +318,7 @@ def _narrow_forces(bench: Bench, chains: Mapping[str, Chain]) -> Panel:
     return Panel.curves("A narrow force of 1 N", "x (mm)", "magnitude over its largest", curves)
 
 
-def _half_space(bench: Bench) -> Outcome:
+def _half_space(bench: Bench) -> Entry.Outcome:
     """Compare the marker motion of the papers' formula with the real block's, for equal material
     and load."""
     rig = bench.rig("kamiyama", overrides={"tolerance.preset": "none"})
@@ -355,10 +354,10 @@ def _half_space(bench: Bench) -> Outcome:
         "No picture here: this is the model itself, the papers' formula against the converged "
         "block of equal rubber."
     )
-    return Outcome(records=Record.of_runs([numbers]), panels=(panel,), notes=(note,))
+    return Entry.Outcome(records=Record.of_runs([numbers]), panels=(panel,), notes=(note,))
 
 
-def _limiting_causes(bench: Bench) -> Outcome:
+def _limiting_causes(bench: Bench) -> Entry.Outcome:
     """Change one thing at a time, with the paper's tracker and inverse."""
     records: list[Record] = []
     panels: list[Panel] = []
@@ -401,7 +400,7 @@ def _limiting_causes(bench: Bench) -> Outcome:
         "it at the price of what stands next to it, so read it with the distance at which two are "
         "resolved."
     )
-    return Outcome(records=records, panels=panels, notes=(note,))
+    return Entry.Outcome(records=records, panels=panels, notes=(note,))
 
 
 def _bars(title: str, across: str, values: Mapping[str, float], limits: list[float]) -> Panel:
@@ -464,7 +463,7 @@ def _sorted_times(
     )
 
 
-def _flat_times(bench: Bench) -> Outcome:
+def _flat_times(bench: Bench) -> Entry.Outcome:
     rig = bench.rig("kamiyama")
     count = 20 if bench.quick else TRIALS
     picture = rig.picture(rig.motion(rig.press(PILLAR_PRESS).load), 1)
@@ -496,10 +495,10 @@ def _flat_times(bench: Bench) -> Outcome:
         "s of noise reduction; they differ from these by the machine and by capture, which nothing "
         "in the twin explains."
     )
-    return Outcome(records=records, panels=(panel,), notes=(note,))
+    return Entry.Outcome(records=records, panels=(panel,), notes=(note,))
 
 
-def _finger_times(bench: Bench) -> Outcome:
+def _finger_times(bench: Bench) -> Entry.Outcome:
     rig = bench.rig("sato")
     count = 20 if bench.quick else TRIALS
     pictures = [rig.picture(None, 20 + k) for k in range(4)]
@@ -520,7 +519,7 @@ def _finger_times(bench: Bench) -> Outcome:
         curves[what] = micros
     panel = _sorted_times(curves, "trial", "µs", {"60 frames a second": 1e6 / 60})
     note = "The paper's times are of a 2.8 GHz Pentium D in 2008; these are of this machine."
-    return Outcome(records=records, panels=(panel,), notes=(note,))
+    return Entry.Outcome(records=records, panels=(panel,), notes=(note,))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -610,7 +609,7 @@ def _rate_hz(bench: Bench, press: Callable[[Rig], Press], chain: Chain) -> float
     return _rate_of(seconds)
 
 
-def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
+def _same_hardware(bench: Bench, hardware: _Hardware) -> Entry.Outcome:
     """Compare this project's inverse `local` with the paper's software, with the default inverse,
     and with an industrial camera."""
     ours, shift = hardware.ours, hardware.shift
@@ -705,7 +704,7 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
     compare(lambda chain, _: {rate: _rate_hz(bench, press, chain)}, same_camera, (ONCE,))
     records[-1] = replace(records[-1], n=RATED)
     notes = (hardware.note, "The weight of the inverse is given when times are taken.")
-    return Outcome(records=records, notes=notes)
+    return Entry.Outcome(records=records, notes=notes)
 
 
 DESIGN_LIMITS = (

@@ -29,7 +29,6 @@ from twin.study.reproduce.bench import (
     ForceLine,
     Measure,
     Numbers,
-    Outcome,
     Quantity,
     Reading,
     Record,
@@ -109,7 +108,7 @@ def _site_errors(made: Calibration, wanted: Calibration) -> Floats:
     return np.asarray(np.linalg.norm(one - other, axis=(1, 2)) / np.linalg.norm(other, axis=(1, 2)))
 
 
-def _calibration(bench: Bench) -> Outcome:
+def _calibration(bench: Bench) -> Entry.Outcome:
     """Calibrate, and calibrate again with one source of error off; every press is solved once."""
     few = FEW if bench.quick else {}
     made = bench.by_presses(few)
@@ -162,10 +161,10 @@ def _calibration(bench: Bench) -> Outcome:
         {name: (np.arange(len(e)), np.sort(e), "o-") for name, e in drawn.items()},
         logarithmic=True,
     )
-    return Outcome(records=records, panels=(panel,))
+    return Entry.Outcome(records=records, panels=(panel,))
 
 
-def _figure_6(bench: Bench) -> Outcome:
+def _figure_6(bench: Bench) -> Entry.Outcome:
     trials = bench.trials("sato", pressed=False)
     rigs = [PAPER.rig(bench, trial) for trial in trials]
     sensor = bench.rig("sato").sensor
@@ -182,7 +181,7 @@ def _figure_6(bench: Bench) -> Outcome:
     )
     note = "The paper gives 15 px in section II D and 10 to 20 px in section IV."
     records = (width, *Record.of_runs([{pressed: float(len(points))}]), found)
-    return Outcome(records=records, panels=panels, notes=(note,))
+    return Entry.Outcome(records=records, panels=panels, notes=(note,))
 
 
 def _shot_numbers(shot: Shot) -> Numbers:
@@ -195,7 +194,7 @@ def _shot_numbers(shot: Shot) -> Numbers:
     }
 
 
-def _figure_7(bench: Bench) -> Outcome:
+def _figure_7(bench: Bench) -> Entry.Outcome:
     places = {"on a calibrated point": (0.0, 0.0)}
     if not bench.quick:
         places["between four"] = bench.rig("sato").above((1.25, 1.25))
@@ -214,7 +213,7 @@ def _figure_7(bench: Bench) -> Outcome:
             panels.append(Panel.shifts("Markers under the sphere", first.found, 3.0))
         radius = first.state.contact_radius_mm
         panels.append(Panel.field(f"Force field, sphere {where}", first.field, radius, at))
-    return Outcome(records=records, panels=panels)
+    return Entry.Outcome(records=records, panels=panels)
 
 
 def _line_numbers(repeats: int, run: ForceLine) -> Numbers:
@@ -233,7 +232,7 @@ def _resolution(repeats: int) -> Quantity:
     return Quantity(f"{what} (n times {repeats} repeats)", "gf", paper=READ_GF)
 
 
-def _figure_8(bench: Bench) -> Outcome:
+def _figure_8(bench: Bench) -> Entry.Outcome:
     steps, repeats = (3, 2) if bench.quick else (10, REPEATS)
     read = Reading[ForceLine](lambda run: {_resolution(repeats): run.widest_gf})
     records: list[Record] = []
@@ -275,7 +274,7 @@ def _figure_8(bench: Bench) -> Outcome:
         "reading of its own. Force is read at the moment of the picture, so rubber that relaxes "
         "changes both."
     )
-    return Outcome(records=records, panels=panels, notes=(note,))
+    return Entry.Outcome(records=records, panels=panels, notes=(note,))
 
 
 def _curve(distance_mm: Floats, size: Floats) -> tuple[Floats, Floats]:
@@ -354,7 +353,7 @@ def _spread_numbers(run: tuple[Floats, Floats]) -> Numbers:
     return {width: full_width(*_curve(*run)), jump: _jump(*run)}
 
 
-def _figure_9(bench: Bench) -> Outcome:
+def _figure_9(bench: Bench) -> Entry.Outcome:
     # The chain of the paper, and what is changed in it to find the causes.
     step = 1.25 if bench.quick else STEP_MM
     nominal = replace(PAPER, calibrated_by="compliance")
@@ -394,7 +393,7 @@ def _figure_9(bench: Bench) -> Outcome:
             if way.tracker is None
         }
         records += Record.of_runs([{dip: _dip(bench, PAPER, 5.0)}], off_dip)
-    return Outcome(records=records, panels=panels, notes=(note,))
+    return Entry.Outcome(records=records, panels=panels, notes=(note,))
 
 
 def _on_the_jump(records: Sequence[Record]) -> str:

@@ -27,7 +27,6 @@ from twin.study.reproduce.bench import (
     Entry,
     Measure,
     Numbers,
-    Outcome,
     Quantity,
     Record,
     Rig,
@@ -120,7 +119,7 @@ def _causes(bench: Bench, chain: Chain, block: str) -> dict[str, Chain]:
     }
 
 
-def _figure_6(bench: Bench) -> Outcome:
+def _figure_6(bench: Bench) -> Entry.Outcome:
     def numbers(rig: Rig) -> Numbers:
         rest = rig.rest(OUR_TRACKER)
         layers = rig.scene.markers
@@ -139,7 +138,7 @@ def _figure_6(bench: Bench) -> Outcome:
         Panel.picture(title="The picture at rest", picture=picture),
         Panel.picture(title=split_title, picture=split),
     )
-    return Outcome(records=Record.of_runs([numbers(rig) for rig in rigs]), panels=panels)
+    return Entry.Outcome(records=Record.of_runs([numbers(rig) for rig in rigs]), panels=panels)
 
 
 def _pitch_px(rig: Rig, name: str, at: Floats) -> float:
@@ -161,7 +160,7 @@ def _radial_share(found: Found) -> float:
     return float((outward**2).sum() / (shift**2).sum())
 
 
-def _figure_9(bench: Bench) -> Outcome:
+def _figure_9(bench: Bench) -> Entry.Outcome:
     largest = Quantity(
         f"largest movement under the pillar with {PILLAR_N:g} N (the paper's force isn't known)",
         "px",
@@ -206,7 +205,7 @@ def _figure_9(bench: Bench) -> Outcome:
         "finite strain, solved up to a lower load, moves the markers more, so the true load is "
         "lower than the one stated."
     )
-    return Outcome(
+    return Entry.Outcome(
         records=[*records, *Record.of_runs([{harder: moved[0] / moved[1]}])],
         panels=(panel,),
         notes=(note,),
@@ -244,7 +243,7 @@ def _pillar_numbers(shot: Shot) -> Numbers:
     }
 
 
-def _pillar_field(label: str, chain: Chain, bench: Bench) -> Outcome:
+def _pillar_field(label: str, chain: Chain, bench: Bench) -> Entry.Outcome:
     """Solve the pillar's press by one constraint, and again with causes off."""
     ours = replace(OURS_DIFFERENCE, options=PUSHES.options)
     causes = _causes(bench, chain, KNOWN_BLOCK) | {OURS: ours}
@@ -254,7 +253,7 @@ def _pillar_field(label: str, chain: Chain, bench: Bench) -> Outcome:
         Panel.field(label, runs[0].field, 2.5),
         Panel.field("Truth, summed into the sites' cells", runs[0].truth, 2.5),
     ]
-    return Outcome(records=records, panels=panels)
+    return Entry.Outcome(records=records, panels=panels)
 
 
 def _free_numbers(shot: Shot) -> Numbers:
@@ -270,17 +269,19 @@ def _free_numbers(shot: Shot) -> Numbers:
     }
 
 
-def _figure_10(bench: Bench) -> Outcome:
+def _figure_10(bench: Bench) -> Entry.Outcome:
     """Add the solution without any constraint, which diverged in the paper."""
     constrained = _pillar_field("least norm of differences", DIFFERENCE, bench)
     quiet = {NO_NOISE: replace(FREE, overrides=QUIET)}
     press = bench.pressing(PILLAR_PRESS)
     records, free, _ = bench.compare(press, _free_numbers, FREE, quiet, label="no constraint")
     panel = Panel.field("No constraint", free[0].field, 2.5)
-    return Outcome(records=[*constrained.records, *records], panels=[*constrained.panels, panel])
+    return Entry.Outcome(
+        records=[*constrained.records, *records], panels=[*constrained.panels, panel]
+    )
 
 
-def _figure_13(bench: Bench) -> Outcome:
+def _figure_13(bench: Bench) -> Entry.Outcome:
     """Show the field before camera calibration and the one after it."""
     before = _pillar_field("least norm, before camera calibration", BLIND, bench)
     after = NORM.shot(bench, PILLAR_PRESS).field
@@ -298,7 +299,7 @@ def _ways(bench: Bench, **options: bool) -> dict[str, Chain]:
     }
 
 
-def _figure_14(bench: Bench) -> Outcome:
+def _figure_14(bench: Bench) -> Entry.Outcome:
     widths = WIDTHS_MM[::2] if bench.quick else WIDTHS_MM
 
     def profiles(chain: Chain, trial: Trial) -> dict[float, tuple[Floats, Floats]]:
@@ -339,7 +340,7 @@ def _figure_14(bench: Bench) -> Outcome:
             },
         ),
     )
-    return Outcome(records=records, panels=panels)
+    return Entry.Outcome(records=records, panels=panels)
 
 
 def _twist_press(diameter_mm: float) -> Press:
@@ -351,7 +352,7 @@ def _twist_press(diameter_mm: float) -> Press:
     return Press(probe=Cylinder(diameter_mm=diameter_mm), friction=np.inf, steps=steps)
 
 
-def _figure_15(bench: Bench) -> Outcome:
+def _figure_15(bench: Bench) -> Entry.Outcome:
     records: list[Record] = []
     panels: list[Panel] = []
     presses = {40.0: "as published, wider than the view", 16.0: "one that fits"}
@@ -367,7 +368,7 @@ def _figure_15(bench: Bench) -> Outcome:
         )
         records += found
         panels.append(Panel.field(label, runs[0].field, radius))
-    return Outcome(records=records, panels=panels)
+    return Entry.Outcome(records=records, panels=panels)
 
 
 def _twist_numbers(radius_mm: float, shot: Shot) -> Numbers:
@@ -397,7 +398,7 @@ def _cosine(one: Floats, other: Floats) -> float:
     return float(one @ other / np.sqrt((one @ one) * (other @ other)))
 
 
-def _figure_16(bench: Bench) -> Outcome:
+def _figure_16(bench: Bench) -> Entry.Outcome:
     """Compare two opposite impulses along x, both outwards, with one along z."""
     apart = APART_MM[1::2] if bench.quick else APART_MM
 
@@ -471,7 +472,7 @@ def _figure_16(bench: Bench) -> Outcome:
         "states; both layers at once differ (which is why the sensor has two), and so "
         "does the plane, as the pair moves the markers on both sides of it the other way."
     )
-    return Outcome(records=records, panels=(panel,), notes=(note,))
+    return Entry.Outcome(records=records, panels=(panel,), notes=(note,))
 
 
 _Fields = dict[tuple[int, float], Floats]
@@ -481,7 +482,7 @@ def _size(moved: Floats) -> float:
     return float(np.linalg.norm(moved.reshape(-1, 2), axis=1).max())
 
 
-def _figure_17(bench: Bench) -> Outcome:
+def _figure_17(bench: Bench) -> Entry.Outcome:
     depths = DEPTHS_MM[1::2] if bench.quick else DEPTHS_MM
 
     def fields(chain: Chain, depths_mm: tuple[float, ...]) -> _Fields:
@@ -530,7 +531,7 @@ def _figure_17(bench: Bench) -> Outcome:
             for axis, name in IMPULSES.items()
         },
     )
-    return Outcome(records=Record.of_runs([numbers(found)], off), panels=(panel,))
+    return Entry.Outcome(records=Record.of_runs([numbers(found)], off), panels=(panel,))
 
 
 _PROTOCOL = (

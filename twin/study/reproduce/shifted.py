@@ -29,7 +29,6 @@ from twin.study.reproduce.bench import (
     Entry,
     Measure,
     Numbers,
-    Outcome,
     Protocol,
     Quantity,
     Reading,
@@ -129,7 +128,7 @@ def _moments(protocol: Protocol, found: Found, *, printed: bool) -> Numbers:
     return numbers
 
 
-def _table(protocol: Protocol, bench: Bench) -> Outcome:
+def _table(protocol: Protocol, bench: Bench) -> Entry.Outcome:
     """Return averages and standard deviations by layer and axis, both ways, with both trackers."""
     theirs: list[Record] = []
     ours: list[Record] = []
@@ -145,7 +144,7 @@ def _table(protocol: Protocol, bench: Bench) -> Outcome:
         label = ", this project's tracker"
         ours += _compared(bench, protocol, way, measured, tracker=OUR_TRACKER, label=label)[0]
     panels = _histograms(bench, protocol, "x")
-    return Outcome(records=theirs + ours, panels=panels, notes=(_note(protocol),))
+    return Entry.Outcome(records=theirs + ours, panels=panels, notes=(_note(protocol),))
 
 
 def _note(protocol: Protocol) -> str:
@@ -190,14 +189,14 @@ def _vectors(found: Found) -> Numbers:
     }
 
 
-def _figure_7(bench: Bench) -> Outcome:
+def _figure_7(bench: Bench) -> Entry.Outcome:
     records: list[Record] = []
     panels = []
     for way in WAYS:
         found, runs = _compared(bench, KAMIYAMA, way, _vectors)
         records += found
         panels.append(Panel.shifts(f"3 px to the right, {way}", runs[0], 5.0))
-    return Outcome(records=records, panels=panels)
+    return Entry.Outcome(records=records, panels=panels)
 
 
 def _largest(found: Found, share: float = 1.0) -> Numbers:
@@ -211,7 +210,7 @@ def _largest(found: Found, share: float = 1.0) -> Numbers:
     return numbers
 
 
-def _figure_8(bench: Bench) -> Outcome:
+def _figure_8(bench: Bench) -> Entry.Outcome:
     records: list[Record] = []
     bands = []
     band = Reading(partial(_largest, share=SHARE))
@@ -227,7 +226,7 @@ def _figure_8(bench: Bench) -> Outcome:
         "to end at 0.4 px, a normal one ends at 0.6 to 0.75 px: the paper reads a band off its "
         f"histograms. 95 % of the markers lie within {' and '.join(bands)}."
     )
-    return Outcome(records=records, panels=panels, notes=(_note(KAMIYAMA), note))
+    return Entry.Outcome(records=records, panels=panels, notes=(_note(KAMIYAMA), note))
 
 
 SHIFTED = (

@@ -19,10 +19,9 @@ from pydantic import ValidationError
 from twin.arrays import Floats
 from twin.errors import InputError, RecipeError, did_you_mean
 from twin.parts.part import Part, in_words, unit_of
-from twin.parts.scene import Scene
-from twin.parts.sweep import Range, Sweep, Values
-from twin.streams import Purpose, stream
-from twin.study.batch.draw import Table, look_up, plain_table, put
+from twin.parts.scene import Purpose, Scene
+from twin.parts.sweep import Sweep
+from twin.study.batch.draw import SceneTable
 from twin.study.recipe import find_scene, load_scene, paths_given, read_recipe, validate_scene
 
 
@@ -65,7 +64,7 @@ class Designs:
         else:
             lists = [axis.at(u[:, number]) for number, axis in enumerate(sweep.axes.values())]
         columns = dict(zip(sweep.axes, lists, strict=True))
-        table = plain_table(scene)
+        table = SceneTable.of(scene)
         for key, rule in sweep.derived.items():
             followed: list[Any] | None = columns.get(rule.follows)
             if followed is None:
@@ -73,7 +72,7 @@ class Designs:
                     (columns[name] for name in columns if _matches(name, rule.follows)), None
                 )
             if followed is None:
-                followed = [look_up(table, rule.follows)] * len(next(iter(columns.values())))
+                followed = [table.look_up(rule.follows)] * len(next(iter(columns.values())))
             try:
                 columns[key] = [
                     float(f"{rule.times * float(v) + rule.plus:.12g}") for v in followed
@@ -103,7 +102,7 @@ class Designs:
             return np.asarray(self.columns[name], float)
         return np.full(len(self), float(otherwise))
 
-    def scene_of(self, number: int, base: Table | None = None) -> Scene:
+    def scene_of(self, number: int, base: SceneTable | None = None) -> Scene:
         """Return a design's scene: the base's plain table with its values, layers keeping their
         extent.
 
@@ -112,11 +111,11 @@ class Designs:
         RecipeError
             A value is not allowed, or the scene has no such key.
         """
-        base = base or plain_table(self.scene)
+        base = base or SceneTable.of(self.scene)
         table = copy.deepcopy(base)
         for name, column in self.columns.items():
             for key in _spelt_out(name, table):
-                put(table, {key: column[number]})
+                table.put({key: column[number]})
         for name, layer in table.get("markers", {}).items() if self.sweep.keep_extent else ():
             was = base["markers"][name]
             pitch = float(layer["pitch_mm"])
@@ -148,14 +147,14 @@ def _matches(name: str, key: str) -> bool:
     return all(a in ("*", b) for a, b in zip(ours, theirs, strict=True))
 
 
-def _spelt_out(name: str, table: Table) -> list[str]:
+def _spelt_out(name: str, table: SceneTable) -> list[str]:
     """Return the scene's keys that an axis's name means."""
     keys = [""]
     for part in name.split("."):
         keys = [
             f"{key}.{each}".lstrip(".")
             for key in keys
-            for each in (look_up(table, key) if part == "*" and key else [part])
+            for each in (table.look_up(key) if part == "*" and key else [part])
         ]
     return keys
 
@@ -164,7 +163,7 @@ def _unit(sweep: Sweep) -> Floats:
     from scipy.stats import qmc
 
     width = len(sweep.axes)
-    rng = stream(sweep.seed, Purpose.SAMPLING)
+    rng = Purpose.SAMPLING.stream(sweep.seed)
     if sweep.sampling == "random":
         return np.asarray(rng.random((sweep.count, width)))
     if sweep.sampling == "latin":
@@ -179,7 +178,7 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
 
     A number that is not allowed is its design's failure; what is no number is the sweep's.
     """
-    table = plain_table(scene)
+    table = SceneTable.of(scene)
     filled = copy.deepcopy(table)
     problems = []
     for part in ("axes", "derived"):
@@ -191,9 +190,9 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
                 continue
             try:
                 for key in _spelt_out(name, table):
-                    look_up(table, key.rpartition(".")[0] or key)
+                    table.look_up(key.rpartition(".")[0] or key)
                     value = sweep.axes[name].at(np.zeros(1))[0] if part == "axes" else 1.0
-                    put(filled, {key: value})
+                    filled.put({key: value})
                     problems += _wrong_words(sweep, table, name, key)
             except RecipeError as problem:
                 problems.append(f"{part}.{name}: {str(problem).split(': ', 1)[-1]}")
@@ -208,22 +207,22 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
     for key, rule in sweep.derived.items():
         if not any(_matches(name, rule.follows) for name in sweep.axes):
             try:
-                look_up(table, rule.follows)
+                table.look_up(rule.follows)
             except RecipeError as problem:
                 problems.append(f"derived.{key}.follows: {str(problem).split(': ', 1)[-1]}")
     if problems:
         raise RecipeError(problems, where)
 
 
-def _wrong_words(sweep: Sweep, table: Table, name: str, key: str) -> list[str]:
+def _wrong_words(sweep: Sweep, table: SceneTable, name: str, key: str) -> list[str]:
     """Return the scene's problems with an axis's texts and lists, which may stand where it takes a
     number."""
     axis = sweep.axes.get(name)
     found = []
-    for value in axis.values if isinstance(axis, Values) else ():
+    for value in axis.values if isinstance(axis, Sweep.Values) else ():
         if not isinstance(value, int | float):
             changed = copy.deepcopy(table)
-            put(changed, {key: value})
+            changed.put({key: value})
             try:
                 validate_scene(changed, "design")
             except RecipeError as problem:
@@ -291,7 +290,7 @@ def _line(error: dict[str, Any]) -> str:
     last = keys[-1] if keys else ""
     if error["type"] == "extra_forbidden":
         tables: dict[str, type[Part]] = {
-            "axes": Range,
+            "axes": Sweep.Range,
             "loads": Sweep.Loads,
             "confirm": Sweep.Confirm,
             "limits": Sweep.Limits,

@@ -41,11 +41,10 @@ from twin.judge.score import GROSS_PX
 from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.parts.methods import Method
-from twin.parts.scene import Reconstruction, Scene, Sites
+from twin.parts.scene import Purpose, Scene, Sites
 from twin.parts.sweep import GF, Sweep
-from twin.sense.inverse import METHODS, in_classes
-from twin.sense.regularisation import RULES, Spectrum
-from twin.streams import Purpose, stream
+from twin.sense.inverse import METHODS, Problem
+from twin.sense.regularisation import RULES, Factors
 from twin.study.calibrate import half_space_compliance, nominal_calibration
 from twin.study.doubts import View, shift_sd
 from twin.study.sensor import Motion, Sensor
@@ -209,7 +208,7 @@ def linear(
             f"only {int(used.sum())} of {len(used)} markers are usable in the picture"
         )
     noise = np.zeros(len(used))
-    noise[used] = in_classes(expected[used])  # as the software weighs markers
+    noise[used] = Problem.in_classes(expected[used])  # as the software weighs markers
     # The loads as whitened shifts: divided by the noise, so that every shift counts alike.
     known = _information(scene, view, noise, used, sites, bodies)
     loads = np.concatenate(
@@ -325,7 +324,7 @@ class _Information:
         data = whitened.reshape(-1, whitened.shape[2])
         return [c.data.T @ (c.fold.T @ data) for c in self.classes]
 
-    def spectrum(self, reduced: Sequence[Floats], energy: float) -> Spectrum:
+    def spectrum(self, reduced: Sequence[Floats], energy: float) -> Factors.Spectrum:
         """Return the spectrum to expect on average over loads and noise; ``energy`` is the mean of
         |d|^2 over noise-free data, and ``reduced`` is theirs."""
         squared = np.concatenate([c.squared for c in self.classes])
@@ -334,7 +333,7 @@ class _Information:
         parts = np.where(seen, measured / np.where(seen, squared, 1.0), 0.0)
         noise = max(self.count - len(squared), 0)
         rest = max(energy - float(parts.sum()), 0.0) + noise
-        return Spectrum(squared=squared, energy=parts + 1.0, rest=rest, count=self.count)
+        return Factors.Spectrum(squared=squared, energy=parts + 1.0, rest=rest, count=self.count)
 
     def forces(self, reduced: Sequence[Floats], weight: float) -> Floats:
         """Return (3k, loads) expected forces, N."""
@@ -463,7 +462,7 @@ def _force_basis(grid: tuple[int, int], method: Method, signs: _Signs) -> tuple[
     )
 
 
-def _weight(wanted: Reconstruction, spectrum: Spectrum, mean_noise: float) -> float:
+def _weight(wanted: Scene.Reconstruction, spectrum: Factors.Spectrum, mean_noise: float) -> float:
     """Return the whitened weight that the sensor's software would use; ``mean_noise``, px, is for a
     weight that the scene gives in px^2/N^2."""
     if not METHODS[wanted.method].weighted:
@@ -790,7 +789,7 @@ def _exposed(sensor: Sensor, light: Singles, number: int) -> Picture:
     """Return an exposure of rendered light."""
     from twin.world.picture.ccd import expose
 
-    noise = stream(sensor.nominal.seed, Purpose.EXPOSURE, number)
+    noise = Purpose.EXPOSURE.stream(sensor.nominal.seed, number)
     return expose(light, sensor.nominal.ccd, noise, sensor.pattern)
 
 

@@ -20,9 +20,8 @@ from twin.errors import RecipeError
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
-from twin.parts.scene import Scene
-from twin.parts.sweep import Range, Sweep, Values
-from twin.streams import Purpose, stream
+from twin.parts.scene import Purpose, Scene
+from twin.parts.sweep import Sweep
 
 if TYPE_CHECKING:
     from twin.world.elasticity.block_table import Table
@@ -94,7 +93,7 @@ class Pushes:
         """
         # Places: the middle, random presses by a scrambled Halton sequence, and pairs around the
         # middle.
-        u = _halton(loads.presses, stream(seed, Purpose.SAMPLING, 1))
+        u = _halton(loads.presses, Purpose.SAMPLING.stream(seed, 1))
         pair = np.array(PAIRS) * loads.pair_mm
         ends = np.column_stack(
             [np.repeat(pair, 2) / 2 * np.tile([-1.0, 1.0], len(pair)), np.zeros(2 * len(pair))]
@@ -177,10 +176,12 @@ class Bodies:
         key = "body.thickness_mm"
         rule = sweep.derived.get(key)
         axis = sweep.axes.get(rule.follows if rule is not None else key)
-        if isinstance(axis, Range):
+        if isinstance(axis, Sweep.Range):
             count = axis.steps if sweep.sampling == "grid" else sweep.count
             ends = [axis.low, axis.high]
-        elif isinstance(axis, Values) and all(isinstance(v, int | float) for v in axis.values):
+        elif isinstance(axis, Sweep.Values) and all(
+            isinstance(v, int | float) for v in axis.values
+        ):
             count = len(set(axis.values))
             ends = [min(axis.values), max(axis.values)]
         else:

@@ -18,7 +18,6 @@ from twin.parts.scene import Scene
 from twin.parts.sweep import METRICS
 from twin.show.html_page import digits, figure, page, small_picture, table, two_columns
 from twin.show.svg_plots import Axes
-from twin.study.recipe import dump_scene
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import closed
 from twin.study.sweep.sweep_run import Store, Swept
@@ -36,7 +35,7 @@ def _write_best(done: Swept, folder: Path) -> dict[int, Path]:
     best = {}
     for rank, number in enumerate(done.order[:MOST].tolist(), start=1):
         best[number] = folder / "best" / f"{rank:02d}-design-{number}.toml"
-        write_whole(best[number], dump_scene(_design_scene(done, number)).encode())
+        write_whole(best[number], _design_scene(done, number).to_toml().encode())
     return best
 
 

@@ -44,18 +44,16 @@ from twin.errors import InputError, RecipeError, TwinError
 from twin.files import cache_folder, kept_if_possible, write_json, write_whole
 from twin.parts.scene import Scene
 from twin.parts.sweep import FIDELITIES, METRICS, Sweep
-from twin.study.batch.draw import plain_table
+from twin.study.batch.draw import SceneTable
 from twin.study.batch.pool import (
-    Done,
     Job,
     Pool,
-    Scheduler,
     counted,
     only_writer,
     versions,
 )
 from twin.study.doubts import View
-from twin.study.recipe import dump_scene, load_scene
+from twin.study.recipe import load_scene
 from twin.study.sweep.designs import Designs, load_sweep
 from twin.study.sweep.fidelities import Shown, closed, cost, full, linear, resolved_by_sites
 from twin.study.sweep.loads import REGION, Bodies, Pushes
@@ -105,7 +103,7 @@ class _Workshop:
         self.chunk: int = job["chunk"]
         self.scene = load_scene(folder / "scene.toml")
         self.designs = _designs(self.sweep, self.scene, job["designs"])
-        self.base = plain_table(self.scene)
+        self.base = SceneTable.of(self.scene)
         self.bodies = Bodies.of(self.sweep)
         self._pushes: dict[str, Pushes] = {}
 
@@ -179,7 +177,7 @@ def _job_of(
         "chunk": chunk,
         "designs": list(designs),
     }
-    files = {"sweep.json": json.dumps(table).encode(), "scene.toml": dump_scene(scene).encode()}
+    files = {"sweep.json": json.dumps(table).encode(), "scene.toml": scene.to_toml().encode()}
     return Job(files=files, work=f"{__name__}:{_make_rows.__name__}")
 
 
@@ -273,7 +271,7 @@ class _Runner:
         folder: Path,
         *,
         workers: int = 1,
-        scheduler: Scheduler | None = None,
+        scheduler: Pool.Scheduler | None = None,
         progress: Progress | None = None,
     ) -> None:
         self.sweep, self.scene = sweep, scene
@@ -302,7 +300,7 @@ class _Runner:
                         self._progress(words, min(0.98, ready / len(names)))
         return [self.store[key] for key in keys]
 
-    def _keep(self, done: Done, keys: Sequence[str]) -> None:
+    def _keep(self, done: Job.Done, keys: Sequence[str]) -> None:
         """Keep the rows of a finished task."""
         if done.problem is not None:
             self.store.lose(keys, done.problem)
@@ -336,7 +334,7 @@ def _identity(sweep: Sweep, scene: Scene) -> str:
         _region(sweep, scene),
         list(sweep.axes),
         list(sweep.derived),
-        plain_table(scene) | {"title": ""},
+        SceneTable.of(scene) | {"title": ""},
         versions(),
         Bodies.of(sweep).thickness_mm,
     ]
@@ -506,7 +504,7 @@ def run_sweep(
     folder: Path,
     *,
     workers: int = 1,
-    scheduler: Scheduler | None = None,
+    scheduler: Pool.Scheduler | None = None,
     progress: Progress | None = None,
     optimise: bool = False,
 ) -> Swept:

@@ -33,16 +33,14 @@ from twin.arrays import Bools, Floats, Points
 from twin.errors import InputError, NotSettled
 from twin.parts.body import Block, Body, Dome, Finger
 from twin.parts.material import Material
-from twin.parts.press import Press
-from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
+from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere
 from twin.world.contact.contact_state import ContactState, Share
-from twin.world.contact.mixed_rubber import check_reach
+from twin.world.contact.mixed_rubber import MixedRubber
 from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, TURN, Approach, Z, half_extent
-from twin.world.contact.round_slab import FiniteStrain, Solutions
+from twin.world.contact.round_slab import FiniteStrain
 from twin.world.contact.whole_body import (
     LAST_STEP,
     PART_STEP,
-    Equilibrated,
     Rubber,
     RubberContact,
     SurfaceTouch,
@@ -92,10 +90,10 @@ what rubber does that is held and stretched far."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Pair(Solutions):
+class _Pair(FiniteStrain.Solutions):
     contact: RubberContact
-    linear: Equilibrated
-    finite: Equilibrated
+    linear: RubberContact.State
+    finite: RubberContact.State
 
 
 class BodyStrain(FiniteStrain):
@@ -230,7 +228,7 @@ class BodyStrain(FiniteStrain):
             for one in (linear, finite):
                 on = touch.rest_mm[one.pressure[rows] > 0.0]
                 away = [np.linalg.norm(on - centre, axis=1) / size for centre, size in near]
-                check_reach(np.min(away, axis=0), _REACH)
+                MixedRubber.check_reach(np.min(away, axis=0), _REACH)
             spread = touch.spread_mm(finite.pressure[rows])
             wider.append(spread / touch.spread_mm(linear.pressure[rows]))
         locator = Locator(contact.rubber.mesh)
@@ -272,7 +270,7 @@ class BodyStrain(FiniteStrain):
 
     def _along(
         self, contact: RubberContact, fineness: _Fineness, like: _Pair | None
-    ) -> tuple[Equilibrated, Equilibrated]:
+    ) -> tuple[RubberContact.State, RubberContact.State]:
         """Return both solutions at the end of the path so far of a probe with friction."""
         linear = finite = contact.at_rest()
         first = 0
@@ -299,9 +297,9 @@ class BodyStrain(FiniteStrain):
         contact: RubberContact,
         number: int,
         parts: int,
-        linear: Equilibrated,
-        finite: Equilibrated,
-    ) -> tuple[Equilibrated, Equilibrated]:
+        linear: RubberContact.State,
+        finite: RubberContact.State,
+    ) -> tuple[RubberContact.State, RubberContact.State]:
         """Return both solutions after a step of a path with friction, taken in parts."""
         by_force, given = self._given(number)
         begin = np.where(by_force, linear.force, linear.pose)
@@ -324,7 +322,9 @@ class BodyStrain(FiniteStrain):
             finite = contact.rubbed(finite, guess, by_force, now, to, linear=False)
         return linear, finite
 
-    def _grown(self, contact: RubberContact, before: Equilibrated, share: Floats) -> Equilibrated:
+    def _grown(
+        self, contact: RubberContact, before: RubberContact.State, share: Floats
+    ) -> RubberContact.State:
         """Return where the steps of a part of the first step begin in the linear solution: its
         depth and contact by linear theory."""
         pose = before.pose.copy()
@@ -335,7 +335,7 @@ class BodyStrain(FiniteStrain):
 
     def _at_once(
         self, contact: RubberContact, like: _Pair | None
-    ) -> tuple[Equilibrated, Equilibrated]:
+    ) -> tuple[RubberContact.State, RubberContact.State]:
         """Return both solutions without friction."""
         by_force, given = self._given(self._number)
         if like is not None:

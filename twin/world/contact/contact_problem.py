@@ -25,8 +25,7 @@ from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import ContactError
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
-from twin.parts.press import Probe
-from twin.parts.probe import Cone, Cylinder, Object, Pillar, Sphere, Stl
+from twin.parts.press import Cone, Cylinder, Object, Pillar, Probe, Sphere, Stl
 from twin.theory.relaxation import Relaxation, RubberMemory
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem
 from twin.world.contact.friction_law import STICKS_FROM
@@ -38,7 +37,6 @@ from twin.world.contact.probe_gap import (
     PlacedProbe,
     Z,
     half_extent,
-    rotation_of,
 )
 from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
 
@@ -260,7 +258,7 @@ class ProbeSetup:
         elif not pose[ABOUT_X:].any() and not any(first.tilt_deg):
             plane = Plane(origin_mm=there.axis_mm, axes=first.axes)
         else:
-            turned = rotation_of(pose[ABOUT_X:]) @ first.tilt
+            turned = Approach.rotation_of(pose[ABOUT_X:]) @ first.tilt
             inclined = self.face.is_round and any(first.tilt_deg[:Z])
             side = turned[:, 2] if inclined else turned[:, 0]
             side = np.array([side[0], side[1], 0.0]) / np.hypot(side[0], side[1])
@@ -452,16 +450,6 @@ class ContactProblem:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trend:
-    """What the last step of a path changed: forces (k, 3), place (6 p,), and what was given (6
-    p,)."""
-
-    force_n: Floats
-    pose: Floats
-    given: Floats
-
-
-@dataclass(frozen=True, kw_only=True)
 class ContactHistory:
     """Where each patch touched, or slipped to, and the state that the probes and the body are in.
 
@@ -497,6 +485,15 @@ class ContactHistory:
     moved_mm
         (k, 3) how far the memory alone moves the patches within a part; None outside.
     """
+
+    @dataclass(frozen=True, kw_only=True)
+    class Trend:
+        """What the last step of a path changed: forces (k, 3), place (6 p,), and what was given (6
+        p,)."""
+
+        force_n: Floats
+        pose: Floats
+        given: Floats
 
     touched: Bools
     slipping: Bools

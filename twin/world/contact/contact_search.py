@@ -23,8 +23,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
-from twin.parts.press import PATCHES_ACROSS
-from twin.parts.probe import Cone, Sphere
+from twin.parts.press import PATCHES_ACROSS, Cone, Sphere
 from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
 from twin.world.contact.contact_problem import ContactProblem, Control, ProbeSetup

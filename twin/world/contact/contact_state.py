@@ -16,7 +16,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, frozen
 from twin.display import Table, html_table, new_axes, one_line, plot_patches, vector
 from twin.parts.load import Load, Rectangles
-from twin.parts.probe import Cone, Sphere
+from twin.parts.press import Cone, Sphere
 from twin.theory.contact import ERROR_BOUND, KNOWN_RADIUS, SHEARED, law_of
 from twin.world.contact.active_set import Equilibrium
 from twin.world.contact.contact_problem import ProbeSetup

@@ -29,10 +29,9 @@ import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
-from twin.parts.press import INCREMENTS
-from twin.parts.probe import Cone
+from twin.parts.press import INCREMENTS, Cone
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
-from twin.world.contact.contact_problem import ContactHistory, Control, FrictionalContact, Trend
+from twin.world.contact.contact_problem import ContactHistory, Control, FrictionalContact
 from twin.world.contact.coulomb import solve_coulomb
 from twin.world.contact.friction_law import LAW
 from twin.world.contact.probe_gap import MOTIONS, TURN, X, Y, Z
@@ -590,7 +589,7 @@ def load_step(
     start = np.where(control.by_force, history.total, history.pose)
 
     def with_trend(then: ContactHistory) -> ContactHistory:
-        trend = Trend(
+        trend = ContactHistory.Trend(
             force_n=then.force_n - first.force_n,
             pose=then.pose - first.pose,
             given=control.given - start,

@@ -61,7 +61,9 @@ class MixedRubber:
         stress += pressure[..., None, None] * cofactor
         stress *= self._volume[..., None, None]
         swollen = ((ratio - 1.0 - self._softness * pressure) * self._volume) @ self._shares
-        return gathered(self._row, np.hstack([self._forces(stress), swollen]), self.size)
+        return MixedRubber.gathered(
+            self._row, np.hstack([self._forces(stress), swollen]), self.size
+        )
 
     def internal(self, unknowns: Floats, *, linear: bool) -> Floats:
         """Return the forces with which the rubber resists, by linear theory or at finite strain."""
@@ -118,70 +120,70 @@ class MixedRubber:
         block[:, moves:, moves:] = -self._softness * (self._shares.T @ weighted)
         return block
 
+    @staticmethod
+    def gathered(rows: Ints, parts: Floats, size: int) -> Floats:
+        """Return the (size,) sum of parts at ``rows``, of as many numbers."""
+        return np.bincount(rows.ravel(), parts.ravel(), size).astype(float)
 
-def gathered(rows: Ints, parts: Floats, size: int) -> Floats:
-    """Return the (size,) sum of parts at ``rows``, of as many numbers."""
-    return np.bincount(rows.ravel(), parts.ravel(), size).astype(float)
+    @staticmethod
+    def summed(blocks: Floats, rows: Ints, size: int) -> Any:
+        """Return the sparse (size, size) sum of blocks (m, r, r) at rows (m, r)."""
+        from scipy.sparse import csr_matrix
 
+        wide = rows.shape[1]
+        i = np.repeat(rows, wide, axis=1).ravel()
+        j = np.tile(rows, (1, wide)).ravel()
+        return csr_matrix((blocks.ravel(), (i, j)), shape=(size, size))
 
-def summed(blocks: Floats, rows: Ints, size: int) -> Any:
-    """Return the sparse (size, size) sum of blocks (m, r, r) at rows (m, r)."""
-    from scipy.sparse import csr_matrix
+    @staticmethod
+    def largest(vectors: Floats) -> float:
+        """Return the length of the longest of vectors (n, axes)."""
+        return float(np.linalg.norm(vectors, axis=1).max())
 
-    wide = rows.shape[1]
-    i = np.repeat(rows, wide, axis=1).ravel()
-    j = np.tile(rows, (1, wide)).ravel()
-    return csr_matrix((blocks.ravel(), (i, j)), shape=(size, size))
+    @staticmethod
+    def check_reach(away: Floats, reach: float) -> None:
+        """Raise a ContactError where points touch that are as far ``away`` as any that may.
 
+        Both are distances over the contact's radius by linear theory.
+        """
+        if away.max(initial=0.0) > reach:
+            raise ContactError(
+                f"contact: at finite strain it grows beyond {reach:g} times its size by linear "
+                "theory: press with less force, or set material.law = linear"
+            )
 
-def largest(vectors: Floats) -> float:
-    """Return the length of the longest of vectors (n, axes)."""
-    return float(np.linalg.norm(vectors, axis=1).max())
+    @staticmethod
+    def newton(
+        after: Callable[[State], State],
+        displacement: Callable[[State], Floats],
+        state: State,
+        steps: int,
+        tolerance: float,
+        law: str,
+    ) -> State:
+        """Take Newton's steps until one moves no node by more than ``tolerance`` of the largest
+        displacement.
 
-
-def check_reach(away: Floats, reach: float) -> None:
-    """Raise a ContactError where points touch that are as far ``away`` as any that may.
-
-    Both are distances over the contact's radius by linear theory.
-    """
-    if away.max(initial=0.0) > reach:
-        raise ContactError(
-            f"contact: at finite strain it grows beyond {reach:g} times its size by linear "
-            "theory: press with less force, or set material.law = linear"
-        )
-
-
-def newton(
-    after: Callable[[State], State],
-    displacement: Callable[[State], Floats],
-    state: State,
-    steps: int,
-    tolerance: float,
-    law: str,
-) -> State:
-    """Take Newton's steps until one moves no node by more than ``tolerance`` of the largest
-    displacement.
-
-    Raises
-    ------
-    NotSettled
-        ``steps`` don't suffice, or one fails; names the ``law`` and the remedy.
-    """
-    problem: Exception | None = None
-    try:
-        for _ in range(steps):
-            before = displacement(state)
-            state = after(state)
-            moved = displacement(state)
-            step = largest(moved - before) / largest(moved)
-            if step < tolerance:
-                return state
-            if not math.isfinite(step):
-                break
-    except (NotSettled, SolveError) as found:
-        problem = found
-    raise NotSettled(
-        f"contact: at finite strain (material.law = {law}) Newton's steps did not converge in "
-        f"{steps}: press with less force, with a larger or rounder probe, or set "
-        "material.law = linear"
-    ) from problem
+        Raises
+        ------
+        NotSettled
+            ``steps`` don't suffice, or one fails; names the ``law`` and the remedy.
+        """
+        problem: Exception | None = None
+        try:
+            for _ in range(steps):
+                before = displacement(state)
+                state = after(state)
+                moved = displacement(state)
+                step = MixedRubber.largest(moved - before) / MixedRubber.largest(moved)
+                if step < tolerance:
+                    return state
+                if not math.isfinite(step):
+                    break
+        except (NotSettled, SolveError) as found:
+            problem = found
+        raise NotSettled(
+            f"contact: at finite strain (material.law = {law}) Newton's steps did not converge in "
+            f"{steps}: press with less force, with a larger or rounder probe, or set "
+            "material.law = linear"
+        ) from problem

@@ -31,7 +31,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import ContactError
 from twin.parts.load import Load, Rectangles
-from twin.parts.probe import Cone, Pillar, Sphere
+from twin.parts.press import Cone, Pillar, Sphere
 from twin.theory import halfspace
 from twin.world.contact.contact_problem import LoadProgramme, ProbeSetup
 from twin.world.contact.contact_state import ContactState, PressError, Share
@@ -121,26 +121,6 @@ _BELOW_MM = 0.3
 from there on."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Watched:
-    """Points whose displacement's error is of interest, and a function that takes the estimates.
-
-    Attributes
-    ----------
-    points
-        (n, 3), mm; if there are none, those 0.3 mm below the contact count.
-    error
-        Returns the estimated error of displacement there under a load, over the largest
-        displacement.
-    judge
-        Called with every estimate.
-    """
-
-    points: Points
-    error: Callable[[Load], float]
-    judge: Callable[[PressError], None]
-
-
 class Estimates:
     """The errors of the states of one path, computed on the first use of one.
 
@@ -151,6 +131,26 @@ class Estimates:
     watched
         Points inside the body, and what is to be done with estimates; None for the contact alone.
     """
+
+    @dataclass(frozen=True, kw_only=True)
+    class Watched:
+        """Points whose displacement's error is of interest, and a function that takes the
+        estimates.
+
+        Attributes
+        ----------
+        points
+            (n, 3), mm; if there are none, those 0.3 mm below the contact count.
+        error
+            Returns the estimated error of displacement there under a load, over the largest
+            displacement.
+        judge
+            Called with every estimate.
+        """
+
+        points: Points
+        error: Callable[[Load], float]
+        judge: Callable[[PressError], None]
 
     def __init__(
         self, programme: LoadProgramme, increments: int, solve: _Solve, watched: Watched | None

@@ -20,8 +20,16 @@ import numpy as np
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, InputError, NotSettled
 from twin.parts.body import Body
-from twin.parts.press import FEWEST_PATCHES, INCREMENTS, MOST_PATCHES, Press
-from twin.parts.probe import Cylinder, Pillar, Probe, Sphere
+from twin.parts.press import (
+    FEWEST_PATCHES,
+    INCREMENTS,
+    MOST_PATCHES,
+    Cylinder,
+    Pillar,
+    Press,
+    Probe,
+    Sphere,
+)
 from twin.theory.relaxation import Relaxation
 from twin.world.contact.active_set import Equilibrium
 from twin.world.contact.contact_problem import (
@@ -41,7 +49,7 @@ from twin.world.contact.contact_search import (
 )
 from twin.world.contact.contact_state import ContactState
 from twin.world.contact.load_step import load_step
-from twin.world.contact.press_error import Estimates, Watched
+from twin.world.contact.press_error import Estimates
 from twin.world.contact.probe_gap import ABOUT_X, ABOUT_Y, MOTIONS, Approach, X, Y, Z, half_extent
 from twin.world.contact.surface_patches import Box, Plane
 
@@ -675,7 +683,7 @@ def press(
     youngs_modulus_mpa: float,
     poisson_ratio: float,
     increments: int = INCREMENTS,
-    watched: Watched | None = None,
+    watched: Estimates.Watched | None = None,
     relaxation: Relaxation | None = None,
     memory: PathMemory | None = None,
 ) -> ContactState:

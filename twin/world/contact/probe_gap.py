@@ -32,8 +32,7 @@ from twin.arrays import Bools, Floats, Points
 from twin.compiled import njit
 from twin.errors import InputError
 from twin.parts.body import Body
-from twin.parts.press import Press
-from twin.parts.probe import Cone, Cylinder, Object, Pillar, Probe, Sphere, Stl
+from twin.parts.press import Cone, Cylinder, Object, Pillar, Press, Probe, Sphere, Stl
 
 if TYPE_CHECKING:
     from twin.geometry.pieces import TriangleTree
@@ -272,35 +271,11 @@ _NO_TURN = 1e-100
 """A turn so small, radians, turns nothing, and its square is 0."""
 
 
-def rotation_of(turn: Floats) -> Floats:
-    """Return the (3, 3) rotation about a vector (3,) by its length, radians (Rodrigues)."""
-    if np.max(np.abs(turn)) < _NO_TURN:
-        return np.eye(3)
-    angle = float(np.linalg.norm(turn))
-    x, y, z = turn / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
-
-
-def turning_of(turn: Floats) -> Floats:
-    """Return the (3, 3) matrix that takes a change of a rotation vector to the turn that it makes
-    (left Jacobian)."""
-    if np.max(np.abs(turn)) < _NO_TURN:
-        return np.eye(3)
-    angle = float(np.linalg.norm(turn))
-    cross = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])
-    if angle < 1e-6:
-        return np.asarray(np.eye(3) + cross / 2.0)
-    first = (1.0 - math.cos(angle)) / angle**2
-    second = (angle - math.sin(angle)) / angle**3
-    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
-
-
 def _tilt_of(tilt_deg: tuple[float, float, float]) -> Floats:
     """Return the rotation by angles about x, then y, then z."""
     whole = np.eye(3)
     for axis, angle in enumerate(tilt_deg if any(tilt_deg) else ()):
-        whole = rotation_of(math.radians(angle) * np.eye(3)[axis]) @ whole
+        whole = Approach.rotation_of(math.radians(angle) * np.eye(3)[axis]) @ whole
     return whole
 
 
@@ -470,9 +445,9 @@ class Approach:
         if not turn.any():
             gap, normal = self.shape.met(own, along)
             return gap, _slopes(own, along, gap, normal, _IDENTITY, _IDENTITY)
-        turned = rotation_of(turn)
+        turned = Approach.rotation_of(turn)
         gap, normal = self.shape.met(own @ turned, along @ turned)
-        return gap, _slopes(own, along, gap, normal, turned, turning_of(turn))
+        return gap, _slopes(own, along, gap, normal, turned, Approach.turning_of(turn))
 
     @staticmethod
     def of_press(press: Press, body: Body) -> Approach:
@@ -543,7 +518,7 @@ class Approach:
         axes = np.eye(3) if axes is None else axes
         at = np.zeros(3)
         at[: len(at_mm)] = at_mm
-        turned = None if turn is None else rotation_of(turn)
+        turned = None if turn is None else Approach.rotation_of(turn)
         a, b = half_extent(probe, tilt_deg)
         lever_arm = math.hypot(a, b)
         upright = (
@@ -620,6 +595,34 @@ class Approach:
         """Return a probe at first touch whose face has a rim of another radius."""
         return replace(self, probe=self.probe.model_copy(update={"edge_mm": edge_mm}))
 
+    @staticmethod
+    def rotation_of(turn: Floats) -> Floats:
+        """Return the (3, 3) rotation about a vector (3,) by its length, radians (Rodrigues)."""
+        if np.max(np.abs(turn)) < _NO_TURN:
+            return np.eye(3)
+        angle = float(np.linalg.norm(turn))
+        x, y, z = turn / angle
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return np.asarray(
+            np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+        )
+
+    @staticmethod
+    def turning_of(turn: Floats) -> Floats:
+        """Return the (3, 3) matrix that takes a change of a rotation vector to the turn that it
+        makes (left Jacobian)."""
+        if np.max(np.abs(turn)) < _NO_TURN:
+            return np.eye(3)
+        angle = float(np.linalg.norm(turn))
+        cross = np.array(
+            [[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]]
+        )
+        if angle < 1e-6:
+            return np.asarray(np.eye(3) + cross / 2.0)
+        first = (1.0 - math.cos(angle)) / angle**2
+        second = (angle - math.sin(angle)) / angle**3
+        return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedProbe:
@@ -632,7 +635,7 @@ class PlacedProbe:
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
         """Return how far outwards lines enter the probe, and its normals there."""
         first = self.first
-        turned = first.axes.T @ rotation_of(self.pose[ABOUT_X:])
+        turned = first.axes.T @ Approach.rotation_of(self.pose[ABOUT_X:])
         place = first.axis_mm + self.pose[: Z + 1] @ first.axes
         shape = _shape_of(first.probe, first.tilt_deg)
         distance, normal = shape.met((points - place) @ turned, along @ turned)

@@ -43,17 +43,9 @@ from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
 from twin.parts.body import Block, Body
 from twin.parts.material import Material
-from twin.parts.press import Press
-from twin.parts.probe import Cone, Cylinder, Sphere
+from twin.parts.press import Cone, Cylinder, Press, Sphere
 from twin.world.contact.contact_state import ContactState, Share
-from twin.world.contact.mixed_rubber import (
-    MixedRubber,
-    check_reach,
-    gathered,
-    largest,
-    newton,
-    summed,
-)
+from twin.world.contact.mixed_rubber import MixedRubber
 from twin.world.contact.probe_gap import MOTIONS, Approach, Shape, Z
 from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import LEAST_POISSON
@@ -126,29 +118,6 @@ _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
 """Gauss's places and weights on an element's side, -1 to 1."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Solutions:
-    """The linear and the finite-strain solution on one coarse mesh, whose own error is in both and
-    mostly cancels.
-
-    Attributes
-    ----------
-    read
-        Returns the values (n, 3) and the gradients du_i/dx_j (n, 3, 3) at points of a field of the
-        nodes.
-    linear_mm, change
-        (N, axes) the linear displacement of the nodes, and what it leaves out, mm.
-    moved, wider
-        See `FiniteStrain`.
-    """
-
-    read: Callable[[Points, Floats], tuple[Points, Floats]]
-    linear_mm: Floats
-    change: Floats
-    moved: Floats
-    wider: Floats
-
-
 class FiniteStrain:
     """What linear theory leaves out of one state of a press.
 
@@ -174,12 +143,34 @@ class FiniteStrain:
         (p,) radius of its contact over that by linear theory.
     """
 
+    @dataclass(frozen=True, kw_only=True)
+    class Solutions:
+        """The linear and the finite-strain solution on one coarse mesh, whose own error is in both
+        and mostly cancels.
+
+        Attributes
+        ----------
+        read
+            Returns the values (n, 3) and the gradients du_i/dx_j (n, 3, 3) at points of a field of
+            the nodes.
+        linear_mm, change
+            (N, axes) the linear displacement of the nodes, and what it leaves out, mm.
+        moved, wider
+            See `FiniteStrain`.
+        """
+
+        read: Callable[[Points, Floats], tuple[Points, Floats]]
+        linear_mm: Floats
+        change: Floats
+        moved: Floats
+        wider: Floats
+
     def __init__(
         self,
         axes: tuple[Floats, ...],
         state: ContactState,
         watched: Points,
-        solve: Callable[[bool], Solutions],
+        solve: Callable[[bool], FiniteStrain.Solutions],
         over_change: float,
         least_error: float,
     ) -> None:
@@ -209,11 +200,11 @@ class FiniteStrain:
     @cached_property
     def linear_error(self) -> float:
         """How far linear theory is off at the watched points, over the largest displacement."""
-        return largest(self.displacement(self._watched)) / self._largest_mm
+        return MixedRubber.largest(self.displacement(self._watched)) / self._largest_mm
 
     @cached_property
     def _largest_mm(self) -> float:
-        return largest(self._pair.read(self._watched, self._pair.linear_mm)[0])
+        return MixedRubber.largest(self._pair.read(self._watched, self._pair.linear_mm)[0])
 
     @cached_property
     def error(self) -> Share:
@@ -224,7 +215,8 @@ class FiniteStrain:
         sunk = float(np.max(np.abs((other.moved - self.moved)[:, Z]) / deep))
         return Share(
             indentation=self._over_change * sunk + self._least_error,
-            markers=self._over_change * (largest(missed) / self._largest_mm) + self._least_error,
+            markers=self._over_change * (MixedRubber.largest(missed) / self._largest_mm)
+            + self._least_error,
         )
 
 
@@ -283,7 +275,7 @@ class SlabStrain(FiniteStrain):
             watched = np.tile([*self._axis, min(size, self._thick_mm / 2.0)], (13, 1))
             watched[:, 0] += size * np.linspace(0.0, 3.0, 13)
 
-        def solve(coarser: bool) -> Solutions:
+        def solve(coarser: bool) -> FiniteStrain.Solutions:
             # The coarser slab ends at the block's nearest side.
             wide = _to_side_mm(body, place) if coarser else math.sqrt(across * along / math.pi)
             return self._solved(state, _COARSER if coarser or coarse else 1.0, wide)
@@ -309,7 +301,9 @@ class SlabStrain(FiniteStrain):
     def _least_edge_mm(self, probe: Cylinder) -> float:
         return min(_LEAST_EDGE * probe.diameter_mm, _LEAST_OF_THICKNESS * self._thick_mm)
 
-    def _solved(self, state: ContactState, share: float, radius_mm: float) -> Solutions:
+    def _solved(
+        self, state: ContactState, share: float, radius_mm: float
+    ) -> FiniteStrain.Solutions:
         """Return both solutions on a slab of a radius, in so large a share of the elements."""
         size = state.contact_radius_mm
         approach = self._approach
@@ -328,7 +322,7 @@ class SlabStrain(FiniteStrain):
             low = high - edge
             reach = _RIM_REACH * high
             count = max(_ON_RIM, math.ceil(edge / (_RIM_LENGTH * high)))
-        grid = Grid.graded((low, high), count, reach, share, radius_mm, self._thick_mm)
+        grid = Slab.Grid.graded((low, high), count, reach, share, radius_mm, self._thick_mm)
         slab = Slab(grid, self._material)
         touch = _Touch(grid, approach.shape, size)
         force = float(state.force_n[Z]) / self._material.youngs_modulus_mpa
@@ -341,7 +335,7 @@ class SlabStrain(FiniteStrain):
         moved[0, Z] = finite.place - linear.place
         finite_mm = slab.displacement(finite.unknowns)
         wider = touch.end_mm(finite.pressure, finite_mm) / touch.end_mm(linear.pressure)
-        return Solutions(
+        return FiniteStrain.Solutions(
             read=lambda points, field: grid.read_about(self._axis, points, field),
             linear_mm=linear_mm,
             change=finite_mm - linear_mm,
@@ -371,7 +365,7 @@ class SlabStrain(FiniteStrain):
         self, slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear: bool
     ) -> _Balance:
         """Take Newton's steps until one moves nothing."""
-        state = newton(
+        state = MixedRubber.newton(
             lambda one: _stepped(slab, touch, one, force, linear=linear),
             lambda one: slab.displacement(one.unknowns),
             state,
@@ -380,7 +374,7 @@ class SlabStrain(FiniteStrain):
             self._material.law,
         )
         last = touch.rest_mm[-_POINTS:][state.pressure[-_POINTS:] > 0.0]
-        check_reach(last * math.inf, _REACH)
+        MixedRubber.check_reach(last * math.inf, _REACH)
         return state
 
 
@@ -399,99 +393,99 @@ def _shapes(place: Floats) -> tuple[Floats, Floats, Floats]:
     return values, slopes, np.column_stack([1.0 - x, 1.0 + x]) / 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """Rectangles between ``r_mm`` (I + 1,) and ``z_mm`` (J + 1,).
-
-    The first ``touching`` of them along r may touch the probe.
-    """
-
-    r_mm: Floats
-    z_mm: Floats
-    touching: int
-
-    @classmethod
-    def graded(
-        cls,
-        finest_mm: tuple[float, float],
-        count: int,
-        reach_mm: float,
-        share: float,
-        radius_mm: float,
-        thick_mm: float,
-    ) -> Grid:
-        """Return a grid with ``count`` elements at the surface between two radii, its finest.
-
-        Elements up to ``reach_mm`` may touch the probe; ``share`` is the relative number of all.
-        """
-        low, high = finest_mm
-        width = high - low
-        count = round(share * count)
-        first = width / count
-        growth = 1.0 + (_GROWTH - 1.0) / share
-        inner = low - _growing(first, growth, low, _LARGEST * high / share)[::-1]
-        between = low + first * np.arange(1, count + 1)
-        outer = high + _growing(first, growth, radius_mm - high)[1:]
-        r_mm = np.concatenate([inner, between, outer])
-        touching = int(np.searchsorted(r_mm, reach_mm))
-        z_mm = _growing(first, growth, thick_mm, _DEEPEST * thick_mm / share)
-        return cls(r_mm, z_mm, touching)
-
-    @cached_property
-    def shape(self) -> tuple[int, int]:
-        """Nodes along r and z."""
-        return 2 * len(self.r_mm) - 1, 2 * len(self.z_mm) - 1
-
-    def read(self, points: Floats) -> tuple[Ints, Floats, Floats]:
-        """Return the nodes (n, 9) of the elements at points (n, 2), their shapes (n, 9), and the
-        slopes of these (n, 9, 2)."""
-        node = []
-        value = []
-        slope = []
-        for line, place in zip((self.r_mm, self.z_mm), points.T, strict=True):
-            cell = np.clip(np.searchsorted(line, place, side="right") - 1, 0, len(line) - 2)
-            half = (line[cell + 1] - line[cell]) / 2.0
-            own = _shapes((place - line[cell]) / half - 1.0)
-            node.append(2 * cell[:, None] + np.arange(3))
-            value.append(own[0])
-            slope.append(own[1] / half[:, None])
-        across = self.shape[1]
-        nodes = (node[0][:, :, None] * across + node[1][:, None, :]).reshape(-1, 9)
-        values = (value[0][:, :, None] * value[1][:, None, :]).reshape(-1, 9)
-        along_r = (slope[0][:, :, None] * value[1][:, None, :]).reshape(-1, 9)
-        along_z = (value[0][:, :, None] * slope[1][:, None, :]).reshape(-1, 9)
-        return nodes, values, np.stack([along_r, along_z], axis=2)
-
-    def read_about(self, axis: Floats, points: Points, field: Floats) -> tuple[Points, Floats]:
-        """Return the values (n, 3) and gradients (n, 3, 3) of a field (N, 2) at points (n, 3).
-
-        The slab stands about an axis (x, y); beyond its rim the values are 0.
-        """
-        away = points[:, :Z] - axis
-        r = np.linalg.norm(away, axis=1)
-        out = np.where(r[:, None] > 0.0, away / np.maximum(r, 1e-300)[:, None], [1.0, 0.0])
-        place = np.column_stack([r, points[:, Z]])
-        nodes, shapes, slopes = self.read(np.minimum(place, [self.r_mm[-1], self.z_mm[-1]]))
-        own = np.einsum("na,nai->ni", shapes, field[nodes])
-        own[r > self.r_mm[-1]] = 0.0
-        along = np.einsum("nai,naj->nij", field[nodes], slopes)
-        axes = np.zeros((len(points), 3, 3))  # rows: r, about, z
-        axes[:, 0, :Z] = out
-        axes[:, 1, 0] = -out[:, 1]
-        axes[:, 1, 1] = out[:, 0]
-        axes[:, 2, 2] = 1.0
-        gradient = np.zeros((len(points), 3, 3))
-        gradient[:, ::2, ::2] = along
-        gradient[:, 1, 1] = np.where(r > 0, own[:, 0] / np.maximum(r, 1e-12), along[:, 0, 0])
-        values = np.column_stack([out * own[:, :1], own[:, 1]])
-        return values, np.asarray(axes.transpose(0, 2, 1) @ gradient @ axes)
-
-
 class Slab(MixedRubber):
     """Rubber of E = 1 MPa in the shape of a slab of revolution, held below.
 
     Its unknowns are two displacements of every node, mm, then the pressures of the corners, MPa.
     """
+
+    @dataclass(frozen=True, eq=False)
+    class Grid:
+        """Rectangles between ``r_mm`` (I + 1,) and ``z_mm`` (J + 1,).
+
+        The first ``touching`` of them along r may touch the probe.
+        """
+
+        r_mm: Floats
+        z_mm: Floats
+        touching: int
+
+        @classmethod
+        def graded(
+            cls,
+            finest_mm: tuple[float, float],
+            count: int,
+            reach_mm: float,
+            share: float,
+            radius_mm: float,
+            thick_mm: float,
+        ) -> Slab.Grid:
+            """Return a grid with ``count`` elements at the surface between two radii, its finest.
+
+            Elements up to ``reach_mm`` may touch the probe; ``share`` is the relative number of
+            all.
+            """
+            low, high = finest_mm
+            width = high - low
+            count = round(share * count)
+            first = width / count
+            growth = 1.0 + (_GROWTH - 1.0) / share
+            inner = low - _growing(first, growth, low, _LARGEST * high / share)[::-1]
+            between = low + first * np.arange(1, count + 1)
+            outer = high + _growing(first, growth, radius_mm - high)[1:]
+            r_mm = np.concatenate([inner, between, outer])
+            touching = int(np.searchsorted(r_mm, reach_mm))
+            z_mm = _growing(first, growth, thick_mm, _DEEPEST * thick_mm / share)
+            return cls(r_mm, z_mm, touching)
+
+        @cached_property
+        def shape(self) -> tuple[int, int]:
+            """Nodes along r and z."""
+            return 2 * len(self.r_mm) - 1, 2 * len(self.z_mm) - 1
+
+        def read(self, points: Floats) -> tuple[Ints, Floats, Floats]:
+            """Return the nodes (n, 9) of the elements at points (n, 2), their shapes (n, 9), and
+            the slopes of these (n, 9, 2)."""
+            node = []
+            value = []
+            slope = []
+            for line, place in zip((self.r_mm, self.z_mm), points.T, strict=True):
+                cell = np.clip(np.searchsorted(line, place, side="right") - 1, 0, len(line) - 2)
+                half = (line[cell + 1] - line[cell]) / 2.0
+                own = _shapes((place - line[cell]) / half - 1.0)
+                node.append(2 * cell[:, None] + np.arange(3))
+                value.append(own[0])
+                slope.append(own[1] / half[:, None])
+            across = self.shape[1]
+            nodes = (node[0][:, :, None] * across + node[1][:, None, :]).reshape(-1, 9)
+            values = (value[0][:, :, None] * value[1][:, None, :]).reshape(-1, 9)
+            along_r = (slope[0][:, :, None] * value[1][:, None, :]).reshape(-1, 9)
+            along_z = (value[0][:, :, None] * slope[1][:, None, :]).reshape(-1, 9)
+            return nodes, values, np.stack([along_r, along_z], axis=2)
+
+        def read_about(self, axis: Floats, points: Points, field: Floats) -> tuple[Points, Floats]:
+            """Return the values (n, 3) and gradients (n, 3, 3) of a field (N, 2) at points (n, 3).
+
+            The slab stands about an axis (x, y); beyond its rim the values are 0.
+            """
+            away = points[:, :Z] - axis
+            r = np.linalg.norm(away, axis=1)
+            out = np.where(r[:, None] > 0.0, away / np.maximum(r, 1e-300)[:, None], [1.0, 0.0])
+            place = np.column_stack([r, points[:, Z]])
+            nodes, shapes, slopes = self.read(np.minimum(place, [self.r_mm[-1], self.z_mm[-1]]))
+            own = np.einsum("na,nai->ni", shapes, field[nodes])
+            own[r > self.r_mm[-1]] = 0.0
+            along = np.einsum("nai,naj->nij", field[nodes], slopes)
+            axes = np.zeros((len(points), 3, 3))  # rows: r, about, z
+            axes[:, 0, :Z] = out
+            axes[:, 1, 0] = -out[:, 1]
+            axes[:, 1, 1] = out[:, 0]
+            axes[:, 2, 2] = 1.0
+            gradient = np.zeros((len(points), 3, 3))
+            gradient[:, ::2, ::2] = along
+            gradient[:, 1, 1] = np.where(r > 0, own[:, 0] / np.maximum(r, 1e-12), along[:, 0, 0])
+            values = np.column_stack([out * own[:, :1], own[:, 1]])
+            return values, np.asarray(axes.transpose(0, 2, 1) @ gradient @ axes)
 
     _axes = 2
 
@@ -541,13 +535,15 @@ class Slab(MixedRubber):
         held[2 * number[:, -1]] = held[2 * number[:, -1] + 1] = True
         self._free = np.flatnonzero(~held)
         quarter = np.repeat(self._volume.sum(axis=1) / 18.0 / self._shear, 4)
-        self._scale = gathered(self._row[:, 18:], quarter, self.size)
+        self._scale = MixedRubber.gathered(self._row[:, 18:], quarter, self.size)
         corner_node = number[::2, ::2].ravel()
         self._node = np.concatenate([np.repeat(number.ravel(), 2), corner_node])
 
     def tangent(self, unknowns: Floats) -> Any:
         """Return the sparse symmetric slope of `resistance`."""
-        return summed(self._blocks(unknowns, np.arange(len(self._row))), self._row, self.size)
+        return MixedRubber.summed(
+            self._blocks(unknowns, np.arange(len(self._row))), self._row, self.size
+        )
 
     def solve(self, matrix: Any, right: Floats) -> Floats:
         """Return the solution (n, m) of a tangent for ``right`` (n, m); 0 where it is held."""
@@ -581,7 +577,7 @@ class _Touch:
     """The integration points (q,) of the slab's surface that a probe may touch, and the springs
     between them, for a contact of a size."""
 
-    def __init__(self, grid: Grid, shape: Shape, size_mm: float) -> None:
+    def __init__(self, grid: Slab.Grid, shape: Shape, size_mm: float) -> None:
         self.spring = _SPRING / size_mm
         self.gap_weight = _GAP_WEIGHT / size_mm
         r = grid.r_mm[: grid.touching + 1]
@@ -664,7 +660,7 @@ def _stepped(slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear
 
     def nodal(forces: Floats) -> Floats:
         spread = np.einsum("qa,qi->qai", weight, forces)
-        return gathered(row, spread, slab.size)
+        return MixedRubber.gathered(row, spread, slab.size)
 
     block = touch.spring * push[:, :, None] * push[:, None, :]
     block[:, 0, 0] -= state.pressure[on] * curvature[on]
@@ -672,7 +668,7 @@ def _stepped(slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear
     block = np.einsum("qa,qb,qij->qaibj", weight, weight, block).reshape(len(on), 6, 6)
     own = right + nodal(-(touch.spring * gap[on] * area)[:, None] * push)
     follow = nodal(-(touch.spring * area)[:, None] * push)
-    springs = summed(block, row, slab.size)
+    springs = MixedRubber.summed(block, row, slab.size)
     both = slab.solve(tangent + springs, np.column_stack([own, follow]))
 
     def closed(step: Floats) -> Floats:

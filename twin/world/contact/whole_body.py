@@ -44,15 +44,13 @@ from twin.errors import NotSettled
 from twin.parts.body import Body
 from twin.parts.material import Material
 from twin.world.contact.friction_law import LAW, STICKS_FROM
-from twin.world.contact.mixed_rubber import MixedRubber, gathered, largest, newton, summed
+from twin.world.contact.mixed_rubber import MixedRubber
 from twin.world.contact.probe_gap import (
     ABOUT_X,
     MOTIONS,
     Approach,
     Z,
     half_extent,
-    rotation_of,
-    turning_of,
 )
 from twin.world.elasticity.factor import Factor
 from twin.world.mesh.elements import inverses, quadrature, shapes
@@ -135,7 +133,7 @@ class Rubber(MixedRubber):
         held[: self._moves] = np.repeat(mesh.nodes_on(body.held_pieces), 3)
         self._free = np.flatnonzero(~held)
         tenth = np.repeat(self._volume.sum(axis=1) / 20.0 / self._shear, 4)
-        self._scale = gathered(self._row[:, 30:], tenth, self.size)
+        self._scale = MixedRubber.gathered(self._row[:, 30:], tenth, self.size)
         nodes = np.arange(len(mesh.points))
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
 
@@ -180,7 +178,7 @@ class Rubber(MixedRubber):
     def _pattern(self) -> tuple[Any, Ints]:
         """The sparse matrix of the sum of the elements' blocks, and where (m, 34, 34) their entries
         are in it."""
-        whole = summed(np.ones((len(self._row), 34, 34)), self._row, self.size)
+        whole = MixedRubber.summed(np.ones((len(self._row), 34, 34)), self._row, self.size)
         whole.sort_indices()
         keys = np.repeat(np.arange(self.size), np.diff(whole.indptr)) * self.size + whole.indices
         wanted = self._row[:, :, None] * self.size + self._row[:, None, :]
@@ -189,7 +187,7 @@ class Rubber(MixedRubber):
     def _added(self, blocks: Floats, some: Ints) -> Floats:
         """Return the entries of the sum of some elements' blocks."""
         whole, place = self._pattern
-        return gathered(place[some], blocks, whole.nnz)
+        return MixedRubber.gathered(place[some], blocks, whole.nnz)
 
     @cached_property
     def _rest(self) -> tuple[Floats, Floats]:
@@ -322,13 +320,13 @@ class SurfaceTouch:
         if linear:
             return np.asarray(shift - self._carry @ pose)
         own = (self.rest_mm + shift - self._approach.axis_mm) @ self._approach.axes.T
-        return np.asarray((own - pose[: Z + 1]) @ rotation_of(pose[ABOUT_X:]))
+        return np.asarray((own - pose[: Z + 1]) @ Approach.rotation_of(pose[ABOUT_X:]))
 
     def own(self, ways: Floats, pose: Floats, *, linear: bool) -> Floats:
         """Return ways (q, 3) of points in the axes of `place`."""
         if linear:
             return ways
-        return np.asarray(ways @ self.axes.T @ rotation_of(pose[ABOUT_X:]))
+        return np.asarray(ways @ self.axes.T @ Approach.rotation_of(pose[ABOUT_X:]))
 
     def rest_gap(self, pose: Floats, slid_mm: Floats | None = None) -> tuple[Floats, Floats]:
         """Return the undeformed surface's gaps (q,) in the linear solution, and slopes (q, 6).
@@ -384,7 +382,7 @@ class SurfaceTouch:
                 away=shift - self._carry @ pose - anchors.place,
                 carry=self._carry,
             )
-        turned = rotation_of(pose[ABOUT_X:])
+        turned = Approach.rotation_of(pose[ABOUT_X:])
         place = self.rest_mm + shift
         aside = pose[: Z + 1] @ axes
         own = ((place - self._approach.axis_mm - aside) @ axes.T) @ turned
@@ -404,7 +402,7 @@ class SurfaceTouch:
         outer = turned.T @ axes  # the probe's own axes as rows
         push = push @ outer
         carry = self._approach.jacobian(place, self._frames, aside)
-        carry[:, :, ABOUT_X:] = carry[:, :, ABOUT_X:] @ turning_of(pose[ABOUT_X:])
+        carry[:, :, ABOUT_X:] = carry[:, :, ABOUT_X:] @ Approach.turning_of(pose[ABOUT_X:])
         lift = np.einsum("qi,qim->qm", push, carry)
         return _Met(
             gap=gap,
@@ -424,23 +422,22 @@ class SurfaceTouch:
         return float(np.sqrt(force @ ((self.rest_mm - middle) ** 2).sum(axis=1) / force.sum()))
 
 
-@dataclass(frozen=True)
-class Equilibrated:
-    """A state of a body and probes (p,)."""
-
-    unknowns: Floats  # the rubber's
-    pose: Floats  # (p, 6) the probes' places, mm and radians
-    pressure: Floats  # (q,) of the points of one probe after the other, over Young's modulus
-    active: Bools  # (q,) whether they were sought
-    anchors: _Anchors  # where these hold on to the probes
-    force: Floats  # (p, 6) forces and torques on the body, over Young's modulus
-    slips: Bools  # (q,) points whose friction is at its bound
-    slid_mm: Floats  # (p, 2) how far the probes slid as a whole, in the linear solution
-
-
 class RubberContact:
     """Rubber and the points of its surface that each of the probes (p,) may touch; they have one
     coefficient of friction, and the rubber's true modulus matters for its law alone."""
+
+    @dataclass(frozen=True)
+    class State:
+        """A state of a body and probes (p,)."""
+
+        unknowns: Floats  # the rubber's
+        pose: Floats  # (p, 6) the probes' places, mm and radians
+        pressure: Floats  # (q,) of the points of one probe after the other, over Young's modulus
+        active: Bools  # (q,) whether they were sought
+        anchors: _Anchors  # where these hold on to the probes
+        force: Floats  # (p, 6) forces and torques on the body, over Young's modulus
+        slips: Bools  # (q,) points whose friction is at its bound
+        slid_mm: Floats  # (p, 2) how far the probes slid as a whole, in the linear solution
 
     def __init__(
         self,
@@ -471,11 +468,11 @@ class RubberContact:
         self._row = np.hstack([moved, motions])
         self._kept: dict[bool, Factor] = {}
 
-    def at_rest(self) -> Equilibrated:
+    def at_rest(self) -> RubberContact.State:
         """Return the state in which nothing touches."""
         none = np.zeros((len(self.touches), MOTIONS))
         points = len(self._owner)
-        return Equilibrated(
+        return RubberContact.State(
             unknowns=np.zeros(self.rubber.size),
             pose=none,
             pressure=np.zeros(points),
@@ -487,8 +484,8 @@ class RubberContact:
         )
 
     def settled(
-        self, state: Equilibrated, by_force: Bools, given: Floats, to: float, *, linear: bool
-    ) -> Equilibrated:
+        self, state: RubberContact.State, by_force: Bools, given: Floats, to: float, *, linear: bool
+    ) -> RubberContact.State:
         """Return the state after Newton's steps, which end at one that moves nothing.
 
         ``given`` (p, 6) are forces over Young's modulus, mm2, where ``by_force`` (p, 6), else
@@ -496,30 +493,30 @@ class RubberContact:
         """
         last = math.inf
 
-        def after(one: Equilibrated) -> Equilibrated:
+        def after(one: RubberContact.State) -> RubberContact.State:
             nonlocal last
             new = self._step(one, by_force, given, linear=linear)
-            step = largest(displacement(new) - displacement(one))
+            step = MixedRubber.largest(displacement(new) - displacement(one))
             if step > _SLOW * last and not linear:
                 self._kept.pop(linear, None)
             last = step
             return new
 
-        def displacement(one: Equilibrated) -> Points:
+        def displacement(one: RubberContact.State) -> Points:
             return self.rubber.displacement(one.unknowns)
 
-        return newton(after, displacement, state, MOST_STEPS, to, self.rubber.law_name)
+        return MixedRubber.newton(after, displacement, state, MOST_STEPS, to, self.rubber.law_name)
 
     def rubbed(
         self,
-        before: Equilibrated,
-        guess: Equilibrated,
+        before: RubberContact.State,
+        guess: RubberContact.State,
         by_force: Bools,
         given: Floats,
         to: float,
         *,
         linear: bool,
-    ) -> Equilibrated:
+    ) -> RubberContact.State:
         """Return the end of a part of a step: first what touches in it slides freely, from a
         ``guess``, then friction acts on it from where it touched."""
         pushed = by_force & (np.arange(MOTIONS) == Z)
@@ -539,8 +536,13 @@ class RubberContact:
         return self._dragged(after, linear=linear)
 
     def _slid_there(
-        self, before: Equilibrated, after: Equilibrated, held: Bools, wanted: Floats, to: float
-    ) -> Equilibrated:
+        self,
+        before: RubberContact.State,
+        after: RubberContact.State,
+        held: Bools,
+        wanted: Floats,
+        to: float,
+    ) -> RubberContact.State:
         """Return the end of a part of the linear solution where the probes slid to as a whole."""
         goes = False
         for _ in range(_SLIDES):
@@ -561,7 +563,7 @@ class RubberContact:
             "contact: the probe slides, and where it slides to does not settle: take smaller steps"
         )
 
-    def _slid(self, before: Equilibrated, after: Equilibrated) -> Floats:
+    def _slid(self, before: RubberContact.State, after: RubberContact.State) -> Floats:
         """Return (p, 2) how far a linear solution's probes slid as a whole so far, counted as by
         `twin.world.contact.contact_problem.FrictionalContact.slid` from the rubber that they carry
         along; not further in a part of a step where points stick that touched before, but for a few
@@ -580,7 +582,7 @@ class RubberContact:
                 slid[number] = -touch.axes[:Z] @ behind[least].mean(axis=0)
         return slid
 
-    def _dragged(self, state: Equilibrated, *, linear: bool) -> Equilibrated:
+    def _dragged(self, state: RubberContact.State, *, linear: bool) -> RubberContact.State:
         """Return a state whose slipping points are anchored where they slipped to."""
         if not state.slips.any():
             return state
@@ -592,8 +594,8 @@ class RubberContact:
         return replace(state, anchors=replace(state.anchors, place=place))
 
     def _step(
-        self, state: Equilibrated, by_force: Bools, given: Floats, *, linear: bool
-    ) -> Equilibrated:
+        self, state: RubberContact.State, by_force: Bools, given: Floats, *, linear: bool
+    ) -> RubberContact.State:
         """Return the state after one Newton step of the rubber, in balance with contact."""
         # The rubber without contact, condensed to the nodes that may touch
         rubber, nodal = self.rubber, self._nodal
@@ -614,14 +616,14 @@ class RubberContact:
 
     def _balanced(
         self,
-        state: Equilibrated,
+        state: RubberContact.State,
         loose: Floats,
         schur: Floats,
         by_force: Bools,
         given: Floats,
         *,
         linear: bool,
-    ) -> tuple[Equilibrated, Floats]:
+    ) -> tuple[RubberContact.State, Floats]:
         """Return the state in which contact balances a stiffness (m, m) of the contact's nodes,
         and the forces on these; ``loose`` is where they are without contact."""
         count = len(loose)
@@ -662,7 +664,9 @@ class RubberContact:
         force[body] = schur @ (here[body] - loose[body])
         return replace(state, pose=here[count:].reshape(-1, MOTIONS)), force
 
-    def _meet(self, moved: Points, pose: Floats, state: Equilibrated, *, linear: bool) -> _Met:
+    def _meet(
+        self, moved: Points, pose: Floats, state: RubberContact.State, *, linear: bool
+    ) -> _Met:
         """Return how the points of all probes meet these."""
         parts = [
             touch.meet(moved, one, state.anchors.of(rows), slid, linear=linear)
@@ -705,8 +709,8 @@ class RubberContact:
         )
 
     def _springs(
-        self, state: Equilibrated, here: Floats, *, linear: bool
-    ) -> tuple[Floats, Floats, Floats, Callable[[Floats], Equilibrated]]:
+        self, state: RubberContact.State, here: Floats, *, linear: bool
+    ) -> tuple[Floats, Floats, Floats, Callable[[Floats], RubberContact.State]]:
         """Return what the springs between the contact's nodes and the probes
         take from either, its slope, and the state after a step."""
         # Which points touch?
@@ -741,9 +745,9 @@ class RubberContact:
         out = (_SPRING * area * met.gap[on])[:, None] * carried
         out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed)
         size = len(here)
-        matrix = gathered(size * row[:, :, None] + row[:, None, :], block, size * size)
+        matrix = MixedRubber.gathered(size * row[:, :, None] + row[:, None, :], block, size * size)
 
-        def after(step: Floats) -> Equilibrated:
+        def after(step: Floats) -> RubberContact.State:
             pressure = np.zeros(len(active))
             change = np.einsum("qr,qr->q", slope, step[row])
             pressure[on] = -_SPRING * (met.gap[on] + change)
@@ -760,15 +764,19 @@ class RubberContact:
         if rub.slips[on].any():
             along = np.einsum("qkr,qk->qr", across, rub.along[on])
             block = area[:, None, None] * along[:, :, None] * along[:, None, :]
-            lacks = gathered(size * row[:, :, None] + row[:, None, :], block, size * size)
+            lacks = MixedRubber.gathered(
+                size * row[:, :, None] + row[:, None, :], block, size * size
+            )
         return (
-            gathered(row, out, size),
+            MixedRubber.gathered(row, out, size),
             matrix.reshape(size, size),
             lacks.reshape(size, size),
             after,
         )
 
-    def _anchored(self, before: Equilibrated, free: Equilibrated, *, linear: bool) -> Equilibrated:
+    def _anchored(
+        self, before: RubberContact.State, free: RubberContact.State, *, linear: bool
+    ) -> RubberContact.State:
         """Return the state ``before`` a part of a step with anchors for the points that touch
         within it; ``free`` is its end if these slide freely. Anchors of points that lift off are
         given up.

@@ -37,9 +37,9 @@ from twin.arrays import Bools, Floats, Points, Progress, frozen, grid_points
 from twin.errors import InputError
 from twin.files import (
     MESHES,
+    PINNED,
     cache_folder,
     kept_if_possible,
-    pinned,
     read_arrays,
     write_whole,
 )
@@ -50,7 +50,7 @@ from twin.theory.bonded_layer import BondedLayer
 from twin.world.elasticity.cache import PointCache, require_table
 from twin.world.elasticity.correction import correction
 from twin.world.elasticity.fem import TaylorHood
-from twin.world.elasticity.tensor_basis import SIZES, Axis, tensor_product
+from twin.world.elasticity.tensor_basis import SIZES, Axis
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.quadratic_mesh import Mesh
@@ -95,6 +95,94 @@ class Table:
         The one nu of a table that holds for no other.
     """
 
+    @dataclass(frozen=True, kw_only=True, eq=False)
+    class AtNu:
+        """`Table` at one nu: (x', y', force axis, displacement axis, x, y, z)."""
+
+        coefficients: Floats
+        window_mm: tuple[float, float]
+        box_mm: tuple[float, float, float]
+
+        def contains(self, points: PointCache) -> bool:
+            """Return whether all points are in the box."""
+            return self._basis(points).inside
+
+        def displacement(self, points: PointCache, load: Rectangles) -> Points:
+            """Return (n, 3) w in mm for E = 1 MPa."""
+            moments = self._moments(load)
+            basis = self._basis(points)
+            reading = basis.reading(self)
+            if reading is not None:
+                return (reading @ moments).reshape(-1, 3)
+            return basis.values @ (moments @ self._by_load).reshape(-1, 3)
+
+        def gradient(self, points: PointCache, load: Rectangles) -> Floats:
+            """Return (n, 3, 3) dw_i/dx_j for E = 1 MPa."""
+            field = (self._moments(load) @ self._by_load).reshape(-1, 3)
+            return np.stack([slope @ field for slope in self._basis(points).slopes], axis=2)
+
+        def corrections(self, points: PointCache, rectangles: Rectangles) -> Floats:
+            """Return (n, 3, k, 3): w in mm/N at the points for E = 1 MPa per unit force on each
+            rectangle."""
+            k = len(rectangles)
+            basis = self._basis(points)
+            reading = basis.reading(self, k)
+            if reading is None:
+                reading = (basis.values @ self.by_point).reshape(3 * len(points), -1)
+            # one product of three times the work, for turning its result's axes would take longer
+            loads = np.einsum("ka,fg->afkg", self._load_basis(rectangles), np.eye(3)).reshape(
+                -1, 3 * k
+            )
+            return np.asarray(reading @ loads).reshape(-1, 3, k, 3)
+
+        def normal_corrections(self, points: PointCache, rectangles: Rectangles) -> Floats:
+            """Return (n, k): the normal part of `corrections`, for rectangles in the plane z =
+            0."""
+            part = self._normal_part @ self._load_basis(rectangles).T
+            return np.asarray(self._basis(points).values @ part)
+
+        def _basis(self, points: PointCache) -> _PointBasis:
+            return points.once(
+                self.box_mm,
+                lambda: _PointBasis(points=points.points, box_mm=self.box_mm, often=points.often),
+            )
+
+        @cached_property
+        def _normal_part(self) -> Floats:
+            """(x y z, x' y'): z displacement under z forces."""
+            part = self.coefficients[:, :, 2, 2].transpose(2, 3, 4, 0, 1)
+            return np.ascontiguousarray(part.reshape(int(np.prod(part.shape[:3])), -1))
+
+        def _moments(self, load: Rectangles) -> Floats:
+            """Return (x' y' force axis) the load's moments."""
+            return np.asarray(self._load_basis(load).T @ load.force_n).ravel()
+
+        @cached_property
+        def _by_load(self) -> Floats:
+            """(x' y' force axis, x y z displacement axis)."""
+            count = self.coefficients.shape[0] * self.coefficients.shape[1] * 3
+            return np.ascontiguousarray(
+                self.coefficients.transpose(0, 1, 2, 4, 5, 6, 3).reshape(count, -1)
+            )
+
+        @cached_property
+        def by_point(self) -> Floats:
+            """(x y z, displacement axis x' y' force axis)."""
+            ordered = self.coefficients.transpose(4, 5, 6, 3, 0, 1, 2)
+            return np.ascontiguousarray(ordered.reshape(int(np.prod(ordered.shape[:3])), -1))
+
+        def _load_basis(self, load: Rectangles) -> Floats:
+            """Return (k, x' y') means of the polynomials over each rectangle, by 3 x 3 Gauss
+            points; of points by one."""
+            nodes, weights = _GAUSS if load.half_mm.any() else _MIDDLE
+            square = grid_points(nodes, nodes)
+            weight = np.multiply.outer(weights, weights).ravel() / 4.0
+            along = square @ (load.half_mm[:, :, None] * load.frames[:, :2, :2])
+            places = (load.centre_mm[:, None, :2] + along) / self.window_mm
+            x = chebvander(places[:, :, 0], SIZES[1] - 1) * weight[:, None]
+            y = chebvander(places[:, :, 1], SIZES[2] - 1)
+            return np.asarray(x.transpose(0, 2, 1) @ y).reshape(len(load), -1)
+
     coefficients: Floats
     window_mm: tuple[float, float]
     box_mm: tuple[float, float, float]
@@ -107,13 +195,13 @@ class Table:
         low, high = NU_RANGE if self.poisson_ratio is None else (self.poisson_ratio,) * 2
         return low <= poisson_ratio <= high and _lies_within(load, self.window_mm)
 
-    def at(self, poisson_ratio: float) -> TableAtNu:
+    def at(self, poisson_ratio: float) -> Table.AtNu:
         """Return the table of one nu."""
         weights = np.ones(1)
         if self.poisson_ratio is None:
             weights = _NU.basis(np.array([poisson_ratio]))[0]
         coefficients = np.tensordot(weights, self.coefficients, 1)
-        return TableAtNu(coefficients=coefficients, window_mm=self.window_mm, box_mm=self.box_mm)
+        return Table.AtNu(coefficients=coefficients, window_mm=self.window_mm, box_mm=self.box_mm)
 
     @staticmethod
     def make(
@@ -250,7 +338,7 @@ class Table:
             return None
         usable *= CHECK if role == "check" else 1.0
         path = Table.path(body, role)
-        folder = pinned()
+        folder = PINNED.folder
         of_all = path.exists() if folder is None else (folder / path.name).is_file()
         if not of_all and poisson_ratio is not None:
             path = Table.path(body, role, poisson_ratio)
@@ -310,10 +398,10 @@ class _PointBasis:
     points: Points
     box_mm: tuple[float, float, float]
     often: bool
-    _readings: dict[TableAtNu, Floats] = field(default_factory=dict)
+    _readings: dict[Table.AtNu, Floats] = field(default_factory=dict)
     _loads: int = 0
 
-    def reading(self, table: TableAtNu, loads: int = 1) -> Floats | None:
+    def reading(self, table: Table.AtNu, loads: int = 1) -> Floats | None:
         """Return the (3 n, x' y' force axis) product of the table and the points' polynomials; None
         as long as it doesn't pay."""
         self._loads += loads
@@ -353,93 +441,7 @@ class _PointBasis:
                 slope = np.polynomial.chebyshev.chebder(np.eye(size), scl=1.0 / scale)
                 values = values[:, : size - 1] @ slope
             basis.append(np.asarray(values, float))
-        return tensor_product(*basis)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TableAtNu:
-    """`Table` at one nu: (x', y', force axis, displacement axis, x, y, z)."""
-
-    coefficients: Floats
-    window_mm: tuple[float, float]
-    box_mm: tuple[float, float, float]
-
-    def contains(self, points: PointCache) -> bool:
-        """Return whether all points are in the box."""
-        return self._basis(points).inside
-
-    def displacement(self, points: PointCache, load: Rectangles) -> Points:
-        """Return (n, 3) w in mm for E = 1 MPa."""
-        moments = self._moments(load)
-        basis = self._basis(points)
-        reading = basis.reading(self)
-        if reading is not None:
-            return (reading @ moments).reshape(-1, 3)
-        return basis.values @ (moments @ self._by_load).reshape(-1, 3)
-
-    def gradient(self, points: PointCache, load: Rectangles) -> Floats:
-        """Return (n, 3, 3) dw_i/dx_j for E = 1 MPa."""
-        field = (self._moments(load) @ self._by_load).reshape(-1, 3)
-        return np.stack([slope @ field for slope in self._basis(points).slopes], axis=2)
-
-    def corrections(self, points: PointCache, rectangles: Rectangles) -> Floats:
-        """Return (n, 3, k, 3): w in mm/N at the points for E = 1 MPa per unit force on each
-        rectangle."""
-        k = len(rectangles)
-        basis = self._basis(points)
-        reading = basis.reading(self, k)
-        if reading is None:
-            reading = (basis.values @ self.by_point).reshape(3 * len(points), -1)
-        # one product of three times the work, for turning its result's axes would take longer
-        loads = np.einsum("ka,fg->afkg", self._load_basis(rectangles), np.eye(3)).reshape(-1, 3 * k)
-        return np.asarray(reading @ loads).reshape(-1, 3, k, 3)
-
-    def normal_corrections(self, points: PointCache, rectangles: Rectangles) -> Floats:
-        """Return (n, k): the normal part of `corrections`, for rectangles in the plane z = 0."""
-        part = self._normal_part @ self._load_basis(rectangles).T
-        return np.asarray(self._basis(points).values @ part)
-
-    def _basis(self, points: PointCache) -> _PointBasis:
-        return points.once(
-            self.box_mm,
-            lambda: _PointBasis(points=points.points, box_mm=self.box_mm, often=points.often),
-        )
-
-    @cached_property
-    def _normal_part(self) -> Floats:
-        """(x y z, x' y'): z displacement under z forces."""
-        part = self.coefficients[:, :, 2, 2].transpose(2, 3, 4, 0, 1)
-        return np.ascontiguousarray(part.reshape(int(np.prod(part.shape[:3])), -1))
-
-    def _moments(self, load: Rectangles) -> Floats:
-        """Return (x' y' force axis) the load's moments."""
-        return np.asarray(self._load_basis(load).T @ load.force_n).ravel()
-
-    @cached_property
-    def _by_load(self) -> Floats:
-        """(x' y' force axis, x y z displacement axis)."""
-        count = self.coefficients.shape[0] * self.coefficients.shape[1] * 3
-        return np.ascontiguousarray(
-            self.coefficients.transpose(0, 1, 2, 4, 5, 6, 3).reshape(count, -1)
-        )
-
-    @cached_property
-    def by_point(self) -> Floats:
-        """(x y z, displacement axis x' y' force axis)."""
-        ordered = self.coefficients.transpose(4, 5, 6, 3, 0, 1, 2)
-        return np.ascontiguousarray(ordered.reshape(int(np.prod(ordered.shape[:3])), -1))
-
-    def _load_basis(self, load: Rectangles) -> Floats:
-        """Return (k, x' y') means of the polynomials over each rectangle, by 3 x 3 Gauss points; of
-        points by one."""
-        nodes, weights = _GAUSS if load.half_mm.any() else _MIDDLE
-        square = grid_points(nodes, nodes)
-        weight = np.multiply.outer(weights, weights).ravel() / 4.0
-        along = square @ (load.half_mm[:, :, None] * load.frames[:, :2, :2])
-        places = (load.centre_mm[:, None, :2] + along) / self.window_mm
-        x = chebvander(places[:, :, 0], SIZES[1] - 1) * weight[:, None]
-        y = chebvander(places[:, :, 1], SIZES[2] - 1)
-        return np.asarray(x.transpose(0, 2, 1) @ y).reshape(len(load), -1)
+        return Axis.tensor_product(*basis)
 
 
 Role = Literal["truth", "check", "nominal"]
@@ -625,7 +627,7 @@ class Tables:
         self._progress = progress
         self._tried = False
 
-    def covering(self, points: PointCache, load: Rectangles) -> TableAtNu | None:
+    def covering(self, points: PointCache, load: Rectangles) -> Table.AtNu | None:
         """Return the table that covers a load and these points, if there is one."""
         if self._table is None or not self._table.covers(load, self._nu):
             return None
@@ -647,7 +649,7 @@ class Tables:
         return isinstance(self._body, Block) and not _is_compact(self._body)
 
     @cached_property
-    def check(self) -> TableAtNu | None:
+    def check(self) -> Table.AtNu | None:
         """The table of a coarser mesh, if there is one."""
         found = self._find("check")
         return found.at(self._nu) if found else None
@@ -679,7 +681,7 @@ class Tables:
         return self._find("nominal" if self.nominal else "truth")
 
     @cached_property
-    def _at_nu(self) -> TableAtNu | None:
+    def _at_nu(self) -> Table.AtNu | None:
         return self._table.at(self._nu) if self._table else None
 
     def _find(self, role: Role, make: bool = False) -> Table | None:

@@ -27,7 +27,7 @@ from twin.parts.body import Body
 from twin.theory import halfspace
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh import elements
-from twin.world.mesh.interpolate import Locator, Places, Recovery, Weighted, require_inside
+from twin.world.mesh.interpolate import Locator, Recovery
 
 _T = TypeVar("_T")
 
@@ -157,11 +157,11 @@ class PointCache:
         """Which points are looked at for how rough a mesh is there."""
         return slice(None, None, max(1, -(-len(self) // LOOKED_AT)))
 
-    def smoothed(self, recovery: Recovery) -> Weighted:
+    def smoothed(self, recovery: Recovery) -> Recovery.Weighted:
         """Return the smoother recovery of fields at `every` point; of one mesh, always the same."""
         return self.once("smoothed", lambda: recovery.at(self.points[self.every]))
 
-    def placed(self, locator: Locator) -> Places:
+    def placed(self, locator: Locator) -> Locator.Places:
         """Return where the points are in a mesh, which must always be the same."""
         return self.once("places", lambda: locator.locate(self.points))
 
@@ -175,7 +175,7 @@ class PointCaches:
         self._kept: list[PointCache] = []
 
     def of(self, points: Points) -> PointCache:
-        """Return the cache of ``points`` (n, 3); raise an `OutOfBodyError` if one is outside."""
+        """Return the cache of ``points`` (n, 3); raise an `InputError` if one is outside."""
         points = np.asarray(points, float)
         for cached in (*self._kept, *reversed(self._sets)):
             if np.array_equal(cached.points, points):
@@ -200,5 +200,5 @@ class PointCaches:
         return cached.once(key, make)
 
     def _new(self, points: Points, *, often: bool = False) -> PointCache:
-        require_inside(self._body, points)
+        self._body.require_inside(points)
         return PointCache(points=frozen(np.array(points, order="C")), often=often)

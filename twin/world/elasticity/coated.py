@@ -39,7 +39,7 @@ from twin.world.elasticity.cache import PointCache
 from twin.world.elasticity.compliance import Compliance, Method
 from twin.world.elasticity.discretise import within
 from twin.world.elasticity.error_law import EXPECTED, unbounded
-from twin.world.elasticity.fem import Layer, TaylorHood
+from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.interpolated import patch_corrections
 from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
@@ -99,7 +99,7 @@ class _LocalModel(Compliance):
 
     one_material = False
 
-    def __init__(self, body: Body, material: Material, mesh: Mesh, layer: Layer) -> None:
+    def __init__(self, body: Body, material: Material, mesh: Mesh, layer: TaylorHood.Layer) -> None:
         method: Method = "subtracted" if layer.modulus_ratio >= 1.0 else "direct"
         super().__init__(body, material, mesh, method=method, table=False)
         self._layer = layer
@@ -149,7 +149,7 @@ class CoveredCompliance:
         body: Body,
         material: Material,
         thickness_mm: float,
-        layer: Layer,
+        layer: TaylorHood.Layer,
         *,
         level: Level = "coarse",
         fine: float = FINE,

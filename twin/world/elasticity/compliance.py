@@ -29,7 +29,7 @@ from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.theory.bonded_layer import BondedLayer
-from twin.world.elasticity.block_table import Table, TableAtNu, Tables
+from twin.world.elasticity.block_table import Table, Tables
 from twin.world.elasticity.cache import (
     REMEMBERED,
     PointCache,
@@ -169,7 +169,7 @@ class Compliance:
             return None
         return BondedLayer.of(self.body, self.material.poisson_ratio)
 
-    def _layer_beside(self, table: TableAtNu | None) -> BondedLayer | None:
+    def _layer_beside(self, table: Table.AtNu | None) -> BondedLayer | None:
         """Return the layer whose field a correction, solved or by ``table``, leaves out."""
         return self._bonded_layer if table is None or self._tables.beyond_layer else None
 
@@ -213,11 +213,9 @@ class Compliance:
 
         Raises
         ------
-        OutOfBodyError
-            A point is outside the body.
         InputError
-            A rectangle is not on the sensing surface or hangs over its end, or its force is not
-            finite.
+            A point is outside the body; a rectangle is not on the sensing surface or hangs over
+            its end, or its force is not finite.
         SolveError
             See `twin.world.elasticity.factor.Factor.solve`.
         """
@@ -228,7 +226,7 @@ class Compliance:
         return self._whole(known, load, self._correction(known, load, table)[0], table)
 
     def _whole(
-        self, known: PointCache, load: Rectangles, w: Points, table: TableAtNu | None
+        self, known: PointCache, load: Rectangles, w: Points, table: Table.AtNu | None
     ) -> Points:
         """Return the displacement (n, 3) from its correction ``w``, solved or by ``table``."""
         if not self._subtracted:
@@ -239,7 +237,7 @@ class Compliance:
         return moved
 
     def _correction(
-        self, known: PointCache, load: Rectangles, table: TableAtNu | None
+        self, known: PointCache, load: Rectangles, table: Table.AtNu | None
     ) -> tuple[Points, float]:
         """Return the correction (n, 3), everything with the direct method; and the error of
         interpolation, mm."""
@@ -317,11 +315,13 @@ class Compliance:
 
     def _table_of_many(
         self, known: PointCache, rectangles: Rectangles, *, reused: bool
-    ) -> TableAtNu | None:
+    ) -> Table.AtNu | None:
         """Return the table that covers patches and points; it is made where that is worth it."""
-        if Region.pays(rectangles, reused=reused):
+        table = self._tables.covering(known, rectangles)
+        if table is None and Region.pays(rectangles, reused=reused):
             self._tables.make()
-        return self._tables.covering(known, rectangles)
+            table = self._tables.covering(known, rectangles)
+        return table
 
     def _solved_corrections(
         self, known: PointCache, rectangles: Rectangles, reused: bool
@@ -481,7 +481,7 @@ class Compliance:
         outlives `forget`."""
         self._point_caches.keep(points)
 
-    def expected_error(self, load: Rectangles, table: TableAtNu | None = None) -> float:
+    def expected_error(self, load: Rectangles, table: Table.AtNu | None = None) -> float:
         """Return the error to be expected before anything is solved, with a ``table`` that of its
         mesh: see `twin.world.elasticity.error_law`."""
         if not self._subtracted:

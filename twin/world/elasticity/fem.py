@@ -44,43 +44,6 @@ _CHUNK = 1000
 """Elements that are integrated at once."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Layer:
-    """What a further region of a mesh is made of.
-
-    Attributes
-    ----------
-    modulus_ratio
-        Young's modulus over the body's.
-    poisson_ratio
-        nu in [-0.5, 0.5].
-    """
-
-    modulus_ratio: float
-    poisson_ratio: float
-
-    @classmethod
-    def of_cover(cls, material: Material, cover: Cover | None) -> Layer | None:
-        """Return what a cover is made of, None where it is made of the body's ``material``."""
-        if cover is None:
-            return None
-        modulus, nu = material.youngs_modulus_mpa, material.poisson_ratio
-        own = modulus if cover.youngs_modulus_mpa is None else cover.youngs_modulus_mpa
-        own_nu = nu if cover.poisson_ratio is None else cover.poisson_ratio
-        same = own == modulus and own_nu == nu
-        return None if same else cls(modulus_ratio=own / modulus, poisson_ratio=own_nu)
-
-    @property
-    def shear_ratio(self) -> float:
-        """Shear modulus G, MPa, where the body's E is 1 MPa."""
-        return shear_modulus(self.modulus_ratio, self.poisson_ratio)
-
-    @property
-    def softness(self) -> float:
-        """1 / kappa, 1/MPa, where the body's E is 1 MPa."""
-        return _compressibility(self.modulus_ratio, self.poisson_ratio)
-
-
 def _compressibility(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulus:
     """Return 1 / kappa = 3 (1 - 2 nu) / E, kappa the bulk modulus; 0 at nu = 1/2."""
     return 3.0 * (1.0 - 2.0 * poisson_ratio) / youngs_modulus_mpa
@@ -103,6 +66,42 @@ class TaylorHood:
         What the mesh's regions 1, 2, ... are made of; region 0 is the body, of modulus 1.
     """
 
+    @dataclass(frozen=True, kw_only=True)
+    class Layer:
+        """What a further region of a mesh is made of.
+
+        Attributes
+        ----------
+        modulus_ratio
+            Young's modulus over the body's.
+        poisson_ratio
+            nu in [-0.5, 0.5].
+        """
+
+        modulus_ratio: float
+        poisson_ratio: float
+
+        @classmethod
+        def of_cover(cls, material: Material, cover: Cover | None) -> TaylorHood.Layer | None:
+            """Return what a cover is made of, None where it is made of the body's ``material``."""
+            if cover is None:
+                return None
+            modulus, nu = material.youngs_modulus_mpa, material.poisson_ratio
+            own = modulus if cover.youngs_modulus_mpa is None else cover.youngs_modulus_mpa
+            own_nu = nu if cover.poisson_ratio is None else cover.poisson_ratio
+            same = own == modulus and own_nu == nu
+            return None if same else cls(modulus_ratio=own / modulus, poisson_ratio=own_nu)
+
+        @property
+        def shear_ratio(self) -> float:
+            """Shear modulus G, MPa, where the body's E is 1 MPa."""
+            return shear_modulus(self.modulus_ratio, self.poisson_ratio)
+
+        @property
+        def softness(self) -> float:
+            """1 / kappa, 1/MPa, where the body's E is 1 MPa."""
+            return _compressibility(self.modulus_ratio, self.poisson_ratio)
+
     def __init__(
         self,
         mesh: Mesh,
@@ -110,11 +109,11 @@ class TaylorHood:
         solver: Solver = "auto",
         *,
         held: Bools | None = None,
-        layers: Sequence[Layer] = (),
+        layers: Sequence[TaylorHood.Layer] = (),
     ) -> None:
         self.mesh = mesh
         self.poisson_ratio = poisson_ratio
-        self.made_of = (Layer(modulus_ratio=1.0, poisson_ratio=poisson_ratio), *layers)
+        self.made_of = (TaylorHood.Layer(modulus_ratio=1.0, poisson_ratio=poisson_ratio), *layers)
         _check(self.made_of, mesh)
         self._solver: Solver = solver
         if held is None:
@@ -394,7 +393,7 @@ def _pins(points: Floats) -> bool:
     return bool(spread[1] > STRAIGHT * spread[0])
 
 
-def _check(made_of: Sequence[Layer], mesh: Mesh) -> None:
+def _check(made_of: Sequence[TaylorHood.Layer], mesh: Mesh) -> None:
     for region, of in enumerate(made_of):
         where = "" if region == 0 else f" of region {region}"
         if not -0.5 <= of.poisson_ratio <= 0.5:

@@ -31,8 +31,8 @@ from twin.world.elasticity.cache import cached_field, field_key
 from twin.world.elasticity.correction import correction, unbalanced
 from twin.world.elasticity.discretise import onto_surface
 from twin.world.elasticity.fem import TaylorHood
-from twin.world.elasticity.tensor_basis import Axis, tensor_product
-from twin.world.mesh.interpolate import Places, Weighted
+from twin.world.elasticity.tensor_basis import Axis
+from twin.world.mesh.interpolate import Locator, Recovery
 from twin.world.mesh.sizing import Sizing
 
 GRAIN_MM = 1.2
@@ -108,7 +108,7 @@ class Region:
         offsets = self._offsets(rectangles)
         return bool((offsets >= self._low).all() and (offsets <= self._high).all())
 
-    def corrections(self, places: Places, rectangles: Rectangles) -> Floats:
+    def corrections(self, places: Locator.Places, rectangles: Rectangles) -> Floats:
         """Return (n, 3, k, 3): w in mm/N at ``places`` (n), for E = 1 MPa, per unit global force on
         each rectangle."""
         weight, k = self._weights(self._offsets(rectangles)), len(rectangles)
@@ -124,7 +124,7 @@ class Region:
     def _weights(self, offsets: Floats) -> Floats:
         """Return (k, p): the weights of the p probe patches at offsets (k, 2)."""
         along = [axis.basis(offset) for axis, offset in zip(self._axes, offsets.T, strict=True)]
-        return tensor_product(*along)
+        return Axis.tensor_product(*along)
 
     def _probes(self, body: Body, half_mm: Floats) -> Rectangles:
         offsets = grid_points(*(axis.nodes for axis in self._axes))
@@ -212,7 +212,7 @@ def _nodes(size_mm: Floats) -> Ints:
 
 
 def patch_corrections(
-    system: TaylorHood, body: Body, places: Places, rectangles: Rectangles
+    system: TaylorHood, body: Body, places: Locator.Places, rectangles: Rectangles
 ) -> Floats:
     """Return (n, 3, k, 3) like `Region.corrections`, every patch being solved for itself. The
     fields are kept on disk, unless they fill more than `KEPT_BYTES`."""
@@ -238,7 +238,7 @@ class AdjointFields:
     """Adjoint solves for points located in a system's mesh: after three a point, the corrections
     of any number of patches are products."""
 
-    def __init__(self, system: TaylorHood, body: Body, places: Places) -> None:
+    def __init__(self, system: TaylorHood, body: Body, places: Locator.Places) -> None:
         self._system, self._body = system, body
         self._matrix = places.matrix(len(system.mesh.points))
         self._influence = system.influence(self._matrix, PROBE_GOAL)
@@ -348,17 +348,19 @@ class SurfaceTable:
         sizes = np.linalg.norm(load.force_n, axis=1).sum()
         return bool(np.linalg.norm(load.force_n.sum(axis=0)) >= CANCEL * sizes)
 
-    def reading(self, places: Weighted) -> Floats:
+    def reading(self, places: Recovery.Weighted) -> Floats:
         """Return (n, 3, s, t, axis): the coefficients of w at ``places`` (n), mm for unit forces
         and 1 MPa."""
         return self._read(places, places.weights[:, :, None])[:, :, 0]
 
-    def slopes(self, places: Places) -> Floats:
+    def slopes(self, places: Locator.Places) -> Floats:
         """Return (n, 3, 3, s, t, axis): `reading` and, on the third axis, its derivative along x, y
         and z."""
         return self._read(places, places.slopes)
 
-    def _read(self, places: Weighted, weights: Floats, s: slice = _ALL, t: slice = _ALL) -> Floats:
+    def _read(
+        self, places: Recovery.Weighted, weights: Floats, s: slice = _ALL, t: slice = _ALL
+    ) -> Floats:
         """Return (n, 3, m, s, t, axis) of some of the grid's rows ``s`` and columns ``t``, by
         weights (n, k, m)."""
         fields = self._grid[:, :, s, t]
@@ -394,12 +396,12 @@ class SurfaceTable:
         """Return (n, 3, 3) dw_i/dx_j for E = 1 MPa under ``load``."""
         return np.asarray(np.tensordot(slopes, self._moments(load, 1), axes=3))
 
-    def corrections(self, places: Places, rectangles: Rectangles) -> Floats:
+    def corrections(self, places: Locator.Places, rectangles: Rectangles) -> Floats:
         """Return (n, 3, k, 3): w in mm/N at ``places`` for E = 1 MPa per unit global force on each
         rectangle."""
         along = self._splines(rectangles, 1)
         s, t = (_span(one) for one in along)
-        weight = tensor_product(along[0][:, s], along[1][:, t])
+        weight = Axis.tensor_product(along[0][:, s], along[1][:, t])
         frames = self._body.frames(rectangles.centre_mm)
         turned = np.einsum("kp,kaj->pakj", weight, frames).reshape(-1, 3 * len(rectangles))
         values = self._read(places, places.weights[:, :, None], s, t).reshape(

@@ -76,11 +76,11 @@ class Axis:
         """Return coefficients in place of the nodes' values along one axis of an array."""
         return np.moveaxis(np.tensordot(self.from_nodes(), values, axes=(1, axis)), 0, axis)
 
-
-def tensor_product(*factors: Floats) -> Floats:
-    """Return the (k, a b ...) products of basis functions (k, a), (k, b), ... at k places, the last
-    axis running fastest."""
-    product = factors[0]
-    for factor in factors[1:]:
-        product = (product[:, :, None] * factor[:, None, :]).reshape(len(factor), -1)
-    return product
+    @staticmethod
+    def tensor_product(*factors: Floats) -> Floats:
+        """Return the (k, a b ...) products of basis functions (k, a), (k, b), ... at k places, the
+        last axis running fastest."""
+        product = factors[0]
+        for factor in factors[1:]:
+            product = (product[:, :, None] * factor[:, None, :]).reshape(len(factor), -1)
+        return product

@@ -25,22 +25,17 @@ import numpy as np
 
 from twin.arrays import Ints, Points, Progress, coordinates, frozen
 from twin.errors import InputError, MeshError
-from twin.files import MESHES, cache_folder, kept_if_possible, pinned
-from twin.geometry.pieces import TriangleTree, edge_angles
+from twin.files import MESHES, PINNED, cache_folder, kept_if_possible
+from twin.geometry.pieces import Pieces, TriangleTree
 from twin.parts.body import CREASE_DEG, Block, Body
 from twin.parts.part import identity
 from twin.world.mesh.bisection import block_mesh
 from twin.world.mesh.elements import signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import Quality, dihedral_angles, open_edges
-from twin.world.mesh.sizing import Level, Sizing, WantedEdge, surface_samples
+from twin.world.mesh.quality import Quality, open_edges
+from twin.world.mesh.sizing import Level, Sizing, WantedEdge
 from twin.world.mesh.snap import onto_sheets, snapped_mesh
 from twin.world.mesh.tetrahedralise import Request, remeshed
-
-
-def mesh_file(key: str) -> str:
-    """Return the name of the file of a mesh."""
-    return f"mesh-{key[:32]}.npz"
 
 
 def body_mesh(
@@ -55,14 +50,14 @@ def body_mesh(
     """
     sizing = Sizing.of(body, level)
     key = sizing.mesh_key(body)
-    if (folder := pinned()) is not None:
-        path = folder / mesh_file(key)
+    if (folder := PINNED.folder) is not None:
+        path = folder / sizing.mesh_file(body)
         if not path.is_file():
             raise MeshError(
                 f"mesh of level {level}: not among the given ones, and no other is made"
             )
         return Mesh.read(path)
-    cached = cache_folder() / mesh_file(key)
+    cached = cache_folder() / sizing.mesh_file(body)
     if not rebuild:
         for path in [cached, *sorted(MESHES.glob(f"*.{level}.npz"))]:
             found = _matching(path, key)
@@ -197,7 +192,7 @@ def outer_surface(body: Body, spacing_mm: float) -> tuple[Points, Ints]:
         return fewer(*body.own_surface, WITHIN * spacing_mm)
     import trimesh
 
-    samples = surface_samples(body, spacing_mm)
+    samples = body.surface_samples(spacing_mm)
     near = np.abs(body.piece_distances(samples)) < 2 * spacing_mm
     points = [samples]
     for size in (2, 3):
@@ -342,7 +337,7 @@ def _worst_place(mesh: Mesh, *, crowded: bool) -> Points:
     figure = (
         signed_volumes(mesh.points, tets)
         if crowded
-        else dihedral_angles(mesh.points, tets).min(axis=1)
+        else Quality.dihedral_angles(mesh.points, tets).min(axis=1)
     )
     return np.asarray(mesh.points[tets[np.argmin(figure)]].mean(axis=0))
 
@@ -360,7 +355,7 @@ def _refuse_sharp(body: Body) -> None:
     """Refuse at once a wedge so sharp that no element in it can pass the gates."""
     if body.own_surface is None:
         return
-    angles, ends = edge_angles(*body.own_surface)
+    angles, ends = Pieces.edge_angles(*body.own_surface)
     worst = np.unravel_index(np.argmin(angles), angles.shape)
     angle, place = angles[worst], ends[worst].mean(axis=0)
     if angle < SHARPEST_DEG:
@@ -376,7 +371,7 @@ def _ridge_deg(body: Body) -> float:
     of each edge at which pieces of the body end."""
     if body.own_surface is None:
         return RIDGE_DEG
-    turned = np.abs(180.0 - edge_angles(*body.own_surface)[0])
+    turned = np.abs(180.0 - Pieces.edge_angles(*body.own_surface)[0])
     creases = turned[turned >= CREASE_DEG]
     return min(RIDGE_DEG, _BELOW_CREASES * float(creases.min(initial=180.0)))
 

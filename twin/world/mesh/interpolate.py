@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Points, coordinates, frozen
-from twin.errors import MeshError, OutOfBodyError
-from twin.parts.body import Body
+from twin.arrays import Floats, Ints, Points, frozen
+from twin.errors import MeshError
 from twin.world.mesh.elements import TET_EDGES, inverses, shapes
 from twin.world.mesh.quadratic_mesh import Mesh
 
@@ -40,9 +39,6 @@ _FLAT = 1e-13
 """An element whose map bends by no more than this over its size is straight: its map is inverted by
 one product, wrong by rounding only."""
 
-_FORGIVEN = 1e-6
-"""How far outside the body, in mm, a point still counts as on its surface."""
-
 _NEIGHBOURS, _NARROW = 90, 2.0
 """Nodes that a cubic is fitted to, and how fast their weight falls: exp(-(NARROW r)^2), r = 1 at
 the farthest."""
@@ -58,77 +54,79 @@ _CHUNK = 512
 """Points that are worked on at once."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Weighted:
-    """Sums of nodal values, one for every point.
+class Recovery:
+    """Smoother readings of fields on one mesh; built once per mesh."""
 
-    Attributes
-    ----------
-    nodes
-        (n, k) nodes that a point's sum is made of: of its element (k = 10), or around it.
-    weights
-        (n, k) what they count: a field's value is their product.
-    """
+    @dataclass(frozen=True, kw_only=True)
+    class Weighted:
+        """Sums of nodal values, one for every point.
 
-    nodes: Ints
-    weights: Floats
+        Attributes
+        ----------
+        nodes
+            (n, k) nodes that a point's sum is made of: of its element (k = 10), or around it.
+        weights
+            (n, k) what they count: a field's value is their product.
+        """
 
-    def values(self, field: Floats) -> Floats:
-        """Return (n, ...) values of the nodal ``field`` (N, ...)."""
-        flat = field.reshape(len(field), -1)
-        return np.asarray(self.matrix(len(field)) @ flat).reshape(len(self.nodes), *field.shape[1:])
+        nodes: Ints
+        weights: Floats
 
-    def matrix(self, nodes: int) -> Any:
-        """Return the (n, nodes) sparse matrix that takes a nodal field to the points."""
-        from scipy.sparse import csr_matrix
+        def values(self, field: Floats) -> Floats:
+            """Return (n, ...) values of the nodal ``field`` (N, ...)."""
+            flat = field.reshape(len(field), -1)
+            return np.asarray(self.matrix(len(field)) @ flat).reshape(
+                len(self.nodes), *field.shape[1:]
+            )
 
-        rows = np.arange(len(self.nodes) + 1) * self.nodes.shape[1]
-        return csr_matrix(
-            (self.weights.ravel(), self.nodes.ravel(), rows), shape=(len(self.nodes), nodes)
-        )
+        def matrix(self, nodes: int) -> Any:
+            """Return the (n, nodes) sparse matrix that takes a nodal field to the points."""
+            from scipy.sparse import csr_matrix
 
+            rows = np.arange(len(self.nodes) + 1) * self.nodes.shape[1]
+            return csr_matrix(
+                (self.weights.ravel(), self.nodes.ravel(), rows), shape=(len(self.nodes), nodes)
+            )
 
-@dataclass(frozen=True, kw_only=True)
-class Places(Weighted):
-    """Points located in a mesh: ``weights`` are the shape functions of each point's element.
+    def __init__(self, mesh: Mesh) -> None:
+        from scipy.spatial import cKDTree
 
-    Attributes
-    ----------
-    slopes
-        (n, 10, 3) gradients of the shape functions, 1/mm.
-    """
+        self._nodes = mesh.points
+        self._tree = cKDTree(mesh.points)
 
-    slopes: Floats
-
-    def gradients(self, field: Floats) -> Floats:
-        """Return (n, ..., 3) gradients of the nodal ``field`` (N, ...), 1/mm."""
-        out: Floats = np.einsum("qam,qa...->q...m", self.slopes, field[self.nodes])
-        return out
-
-
-def require_inside(body: Body, points: Points) -> None:
-    """Raise `OutOfBodyError`, naming the first offender, unless ``points`` (n, 3) are all in the
-    body or on it."""
-    points = np.asarray(points, float)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise OutOfBodyError(f"points must have the shape (n, 3), got {points.shape}")
-    distances = body.piece_distances(points)
-    outside = ~(np.min(distances, axis=1) >= -_FORGIVEN)
-    if not np.any(outside):
-        return
-    first = int(np.argmax(outside))
-    piece = int(np.argmin(distances[first]))
-    place = coordinates(points[first])
-    low, high = body.bounds_mm
-    raise OutOfBodyError(
-        f"point {first} at ({place}) mm is {-distances[first, piece]:.3g} mm outside the body, "
-        f"beyond its {body.pieces[piece]} face ({int(outside.sum())} of {len(points)} points are); "
-        f"the body lies between {low} and {high} mm"
-    )
+    def at(self, points: Points) -> Recovery.Weighted:
+        """Return what reads the cubics at ``points`` (n, 3) mm."""
+        away, nodes = self._tree.query(points, min(_NEIGHBOURS, len(self._nodes)))
+        weights = np.empty(nodes.shape)
+        for start in range(0, len(points), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            reach = away[part, -1:]
+            weights[part] = _read(
+                (self._nodes[nodes[part]] - points[part, None]) / reach[..., None],
+                away[part] / reach,
+            )
+        return Recovery.Weighted(nodes=nodes, weights=weights)
 
 
 class Locator:
     """Finds points in a mesh; built once per mesh."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Places(Recovery.Weighted):
+        """Points located in a mesh: ``weights`` are the shape functions of each point's element.
+
+        Attributes
+        ----------
+        slopes
+            (n, 10, 3) gradients of the shape functions, 1/mm.
+        """
+
+        slopes: Floats
+
+        def gradients(self, field: Floats) -> Floats:
+            """Return (n, ..., 3) gradients of the nodal ``field`` (N, ...), 1/mm."""
+            out: Floats = np.einsum("qam,qa...->q...m", self.slopes, field[self.nodes])
+            return out
 
     def __init__(self, mesh: Mesh) -> None:
         from scipy.spatial import cKDTree
@@ -160,7 +158,7 @@ class Locator:
         volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
         return np.asarray(np.cbrt(6.0 * np.sqrt(2.0) * volume))
 
-    def locate(self, points: Points) -> Places:
+    def locate(self, points: Points) -> Locator.Places:
         """Return where ``points`` (n, 3) are.
 
         A point in no element (a hair outside the mesh) belongs to the element in which its smallest
@@ -194,7 +192,7 @@ class Locator:
         nodes = mesh.tets[best]
         jacobian = np.einsum("qai,qaj->qij", mesh.points[nodes], slopes)
         slopes = slopes @ inverses(jacobian)[0]
-        return Places(nodes=nodes, weights=frozen(values), slopes=frozen(slopes))
+        return Locator.Places(nodes=nodes, weights=frozen(values), slopes=frozen(slopes))
 
     def _nearest_best(self, points: Points, number: int) -> tuple[Ints, Floats, Floats]:
         """Return the first of the ``number`` nearest elements that holds each point, else the least
@@ -286,29 +284,6 @@ def _solved(columns: Floats, right: Floats) -> Floats:
     determinant = (columns[0] * cofactor[0]).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):  # such an element is given up
         return np.asarray((cofactor * right).sum(axis=1) / determinant)
-
-
-class Recovery:
-    """Smoother readings of fields on one mesh; built once per mesh."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        from scipy.spatial import cKDTree
-
-        self._nodes = mesh.points
-        self._tree = cKDTree(mesh.points)
-
-    def at(self, points: Points) -> Weighted:
-        """Return what reads the cubics at ``points`` (n, 3) mm."""
-        away, nodes = self._tree.query(points, min(_NEIGHBOURS, len(self._nodes)))
-        weights = np.empty(nodes.shape)
-        for start in range(0, len(points), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            reach = away[part, -1:]
-            weights[part] = _read(
-                (self._nodes[nodes[part]] - points[part, None]) / reach[..., None],
-                away[part] / reach,
-            )
-        return Weighted(nodes=nodes, weights=weights)
 
 
 def _read(places: Floats, away: Floats) -> Floats:

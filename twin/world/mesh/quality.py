@@ -71,7 +71,7 @@ class Quality:
     def of(mesh: Mesh, body: Body) -> Quality:
         """Measure a mesh of a body."""
         corner_tets = mesh.tets[:, :4]
-        angles = dihedral_angles(mesh.points, corner_tets)
+        angles = Quality.dihedral_angles(mesh.points, corner_tets)
         return Quality(
             least_volume_mm3=float(np.min(signed_volumes(mesh.points, corner_tets))),
             least_dihedral_deg=float(np.min(angles)),
@@ -106,19 +106,20 @@ class Quality:
             if not passes[sign](figure, limit)
         ]
 
-
-def dihedral_angles(points: Points, tets: Ints) -> Floats:
-    """Return (m, 6) angles between the faces of straight tetrahedra, deg."""
-    corner = points[tets[:, :4]]
-    normals = np.cross(
-        corner[:, TET_FACES[:, 1]] - corner[:, TET_FACES[:, 0]],
-        corner[:, TET_FACES[:, 2]] - corner[:, TET_FACES[:, 0]],
-    )
-    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-300)
-    cosines = [
-        -np.einsum("ij,ij->i", normals[:, a], normals[:, b]) for a, b in combinations(range(4), 2)
-    ]
-    return np.asarray(np.degrees(np.arccos(np.clip(np.stack(cosines, axis=1), -1, 1))))
+    @staticmethod
+    def dihedral_angles(points: Points, tets: Ints) -> Floats:
+        """Return (m, 6) angles between the faces of straight tetrahedra, deg."""
+        corner = points[tets[:, :4]]
+        normals = np.cross(
+            corner[:, TET_FACES[:, 1]] - corner[:, TET_FACES[:, 0]],
+            corner[:, TET_FACES[:, 2]] - corner[:, TET_FACES[:, 0]],
+        )
+        normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-300)
+        cosines = [
+            -np.einsum("ij,ij->i", normals[:, a], normals[:, b])
+            for a, b in combinations(range(4), 2)
+        ]
+        return np.asarray(np.degrees(np.arccos(np.clip(np.stack(cosines, axis=1), -1, 1))))
 
 
 def _scaled_jacobians(points: Points, tets: Ints) -> Floats:

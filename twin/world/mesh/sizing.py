@@ -105,6 +105,10 @@ class Sizing:
         )
         return hashlib.sha256(text.encode()).hexdigest()
 
+    def mesh_file(self, body: Body) -> str:
+        """Return the name of the file of the body's mesh."""
+        return f"mesh-{self.mesh_key(body)[:32]}.npz"
+
 
 @dataclass(frozen=True)
 class _Shares:
@@ -133,24 +137,6 @@ _CURVED: dict[Level, _Shares] = {
 }
 
 
-def surface_samples(body: Body, spacing_mm: float) -> Points:
-    """Return (n, 3) points on the body's surface, mm, about ``spacing_mm`` apart, by casting rays
-    from its middle."""
-    low, high = np.array(body.bounds_mm)
-    middle, reach = (low + high) / 2, float(np.linalg.norm(high - low))
-    count = int(4 * np.pi * (reach / 2 / spacing_mm) ** 2) + 200
-    height = 1 - (2 * np.arange(count) + 1) / count
-    turn = np.pi * (1 + 5**0.5) * np.arange(count)
-    ring = np.sqrt(1 - height**2)
-    direction = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
-    inside, outside = np.zeros(count), np.full(count, reach)
-    for _ in range(60):
-        trial = (inside + outside) / 2
-        within = body.contains(middle + trial[:, None] * direction)
-        inside, outside = np.where(within, trial, inside), np.where(within, outside, trial)
-    return np.asarray(middle + inside[:, None] * direction)
-
-
 def _along(edges: Floats, spacing_mm: float) -> Points:
     """Return points (n, 3) on straight edges (e, 2, 3), at most ``spacing_mm`` apart."""
     length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
@@ -165,7 +151,7 @@ def _rim_points(body: Body, spacing_mm: float) -> Points:
     others."""
     if body.own_rim is not None:
         return _along(body.own_rim, spacing_mm)
-    samples = surface_samples(body, spacing_mm)
+    samples = body.surface_samples(spacing_mm)
     near = np.abs(body.piece_distances(samples)) < 2 * spacing_mm
     found = []
     free = [other for other in range(len(body.pieces)) if other not in body.held_pieces]

@@ -172,35 +172,35 @@ class Variant:
             reason=f"pictures are made without Mitsuba, as {why}: {REMEDY}",
         )
 
+    @staticmethod
+    def check_machine(scene: Scene, at_once: int = 1) -> None:
+        """Raise an error if ``at_once`` pictures of the scene can't be made on this machine.
 
-def check_machine(scene: Scene, at_once: int = 1) -> None:
-    """Raise an error if ``at_once`` pictures of the scene can't be made on this machine.
-
-    Raises
-    ------
-    InputError
-        ``$TWIN_VARIANT`` names no variant.
-    MissingCapability
-        Memory is lacking, with the size and what makes it smaller.
-    """
-    _named_variant()
-    camera = scene.camera
-    if camera is None:
-        return
-    views = 1 if camera.aperture_mm == 0 else 1 + PUPIL_POINTS
-    pixels = camera.width_px * camera.height_px
-    needed = at_once * pixels * (_LIGHT_BYTES + views * RAYS_BYTES)
-    free = _free_bytes()
-    if free is None or needed <= free:
-        return
-    pupil = ", camera.aperture_mm = 0 (a quarter of it)" if camera.aperture_mm > 0 else ""
-    workers = ", fewer --workers" if at_once > 1 else ""
-    raise MissingCapability(
-        f"camera.width_px = {camera.width_px}, camera.height_px = {camera.height_px}: "
-        f"{f'{at_once} pictures at once take' if at_once > 1 else 'a picture takes'} about "
-        f"{needed / 1e9:,.1f} GB of memory, of which {free / 1e9:,.1f} GB are free here: take "
-        f"fewer pixels{pupil}{workers}, or a machine with more memory"
-    )
+        Raises
+        ------
+        InputError
+            ``$TWIN_VARIANT`` names no variant.
+        MissingCapability
+            Memory is lacking, with the size and what makes it smaller.
+        """
+        _named_variant()
+        camera = scene.camera
+        if camera is None:
+            return
+        views = 1 if camera.aperture_mm == 0 else 1 + PUPIL_POINTS
+        pixels = camera.width_px * camera.height_px
+        needed = at_once * pixels * (_LIGHT_BYTES + views * RAYS_BYTES)
+        free = _free_bytes()
+        if free is None or needed <= free:
+            return
+        pupil = ", camera.aperture_mm = 0 (a quarter of it)" if camera.aperture_mm > 0 else ""
+        workers = ", fewer --workers" if at_once > 1 else ""
+        raise MissingCapability(
+            f"camera.width_px = {camera.width_px}, camera.height_px = {camera.height_px}: "
+            f"{f'{at_once} pictures at once take' if at_once > 1 else 'a picture takes'} about "
+            f"{needed / 1e9:,.1f} GB of memory, of which {free / 1e9:,.1f} GB are free here: take "
+            f"fewer pixels{pupil}{workers}, or a machine with more memory"
+        )
 
 
 def _free_bytes() -> int | None:

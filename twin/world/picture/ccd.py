@@ -39,13 +39,13 @@ from scipy.special import ndtri
 from twin.arrays import Floats, Ints, Picture, Singles
 from twin.compiled import in_parts, njit
 from twin.errors import InputError
-from twin.parts.camera import Ccd
+from twin.parts.camera import FULL_SCALE, Ccd
 from twin.world.picture.cover import stretch
 
 Segments = NDArray[np.float32]
 """(n, 2) value at 0 and slope of each straight piece of a function, 64 between two powers of 2."""
 
-_FULL_SCALE, _STRETCHED = 255, 65535
+_STRETCHED = 65535
 _NOTHING = np.zeros((0, 0), np.float32)
 _LINEAR: Segments = np.zeros((0, 2), np.float32)
 _REORDER = {"contract", "arcp", "reassoc", "nsz"}
@@ -206,7 +206,7 @@ def expose(
     most = 2**full.bits - 1
     counts: Picture = np.empty((height, width, 3), np.uint8 if full.bits == 8 else np.uint16)
     flat = counts.reshape(height, -1)
-    black = full.black_dn * most / _FULL_SCALE
+    black = full.black_dn * most / FULL_SCALE
 
     def counted(_: int, begin: int, end: int) -> None:
         line = shares[begin:end].reshape(-1)

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.errors import InputError
-from twin.parts.markers import MarkerLayer, MarkerSet, Prints
+from twin.parts.markers import MarkerLayer, MarkerSet
 
 PRINT_THICKNESS = 0.1
 """Thickness of a print over its diameter (assumed: silk-screen ink about 0.05 mm thick)."""
@@ -66,7 +66,7 @@ class Ellipsoids:
         layers: Mapping[str, MarkerLayer],
         displacement: Points | None = None,
         gradient: Floats | None = None,
-        prints: Prints | None = None,
+        prints: MarkerSet.Prints | None = None,
     ) -> Ellipsoids:
         """Return markers that move with the body.
 

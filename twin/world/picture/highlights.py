@@ -22,7 +22,7 @@ from twin.parts.scene import Scene
 from twin.theory.optics import reflection
 from twin.world.picture.camera_rays import View
 from twin.world.picture.ellipsoids import Ellipsoids
-from twin.world.picture.picture_job import Indices, PictureJob, occluders
+from twin.world.picture.picture_job import Indices, PictureJob
 
 _AROUND, _RINGS = 8, 7
 """Normals of facets for each LED: so many around, and from steep to flat; those of one ring for
@@ -176,7 +176,7 @@ def _unhidden(
     targets[which, 0] = camera
     wanted = (row_of >= 0)[:, None]
     sizes = np.linalg.norm(markers.axes, axis=(1, 2))
-    first, members = occluders(markers.centres, sizes, targets, wanted)
+    first, members = PictureJob.occluders(markers.centres, sizes, targets, wanted)
     row = row_of[np.repeat(np.arange(len(markers)), np.diff(first))]
     for led in range(count):
         hidden = _blocks(balls, members, place[row, led], camera[row])

@@ -48,15 +48,15 @@ _DEPTH = 6
 """Markers that a ray is followed through."""
 
 
-def one_thread() -> None:
-    """Trace in one thread from here on: many processes that render at once are faster so."""
-    if (drjit := sys.modules.get("drjit")) is not None:
-        drjit.set_thread_count(1)
-
-
 class MitsubaTracer:
     """Renders jobs of one view with Mitsuba in a variant of its own, camera and shadow rays at
     once."""
+
+    @staticmethod
+    def use_one_thread() -> None:
+        """Trace in one thread from here on: many processes that render at once are faster so."""
+        if (drjit := sys.modules.get("drjit")) is not None:
+            drjit.set_thread_count(1)
 
     def __init__(self, variant: str, view: View, unit_mm: float, ambient: float) -> None:
         self._variant = variant

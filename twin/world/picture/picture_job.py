@@ -190,7 +190,7 @@ class PictureJob:
         gram = np.swapaxes(axes, 1, 2) @ axes
         longest = np.sqrt(np.abs(gram).sum(axis=2).max(axis=1, initial=0.0))
         wanted = here[:, None] & (lamps.power > 0) & shadows
-        occluder_first, occluder_members = occluders(
+        occluder_first, occluder_members = PictureJob.occluders(
             np.where(here[:, None], centres, np.nan), longest, lamps.place, wanted
         )
         # Lengths are in units of ``unit_mm``, so that single precision is enough.
@@ -221,6 +221,47 @@ class PictureJob:
             colour=markers.colour,
         )
 
+    @staticmethod
+    def occluders(
+        centres: Floats, radii: Floats, places: Floats, wanted: Bools
+    ) -> tuple[Indices, Indices]:
+        """Return, for each marker and lamp, the markers that may shadow it; too many when in doubt,
+        never too few.
+
+        ``centres`` (n, 3) and ``radii`` (n,) are spheres around the markers, none where not finite;
+        ``places`` (n, lamps, 3) lamps as each marker sees them; ``wanted`` (n, lamps) the pairs
+        that matter. The list of marker i and lamp l, number i * lamps + l, begins at that entry of
+        the first result (n * lamps + 1,) in the second.
+
+        Two markers are in each other's way only if the second's centre is within both radii of the
+        way to the lamp, and not farther than the lamp. The way is cut where it leaves the heights
+        of all markers. A grid of about one marker a cell spares a search through all.
+        """
+        n, lamps = wanted.shape
+        first = np.zeros(n * lamps + 1, np.int32)
+        here = np.flatnonzero(np.isfinite(centres).all(axis=1) & np.isfinite(radii))
+        if len(here) == 0 or lamps == 0:
+            return first, np.zeros(0, np.int32)
+        # Sort the markers into the cells of a square grid.
+        side = int(np.ceil(np.sqrt(len(here))))
+        low = centres[here, :2].min(axis=0)
+        per_mm = side / np.maximum(centres[here, :2].max(axis=0) - low, 1e-9)
+        column, row = np.minimum(((centres[here, :2] - low) * per_mm).astype(int), side - 1).T
+        cell = row * side + column
+        order = np.argsort(cell, kind="stable")
+        begin = np.searchsorted(cell[order], np.arange(side * side + 1))
+        grid = (low[0], low[1], per_mm[0], per_mm[1])
+        # The number of members is not known before: count once, and again with enough room.
+        spheres = np.column_stack([centres, radii])
+        members = np.empty(max(4 * n, 16), np.int32)
+        while True:
+            used = _occluder_lists(
+                spheres, here[order], begin, side, grid, places, wanted, first, members
+            )
+            if used <= len(members):
+                return first, members[:used].copy()
+            members = np.empty(used, np.int32)
+
 
 class Shader(Protocol):
     """A renderer of jobs, made for one `View`."""
@@ -228,47 +269,6 @@ class Shader(Protocol):
     def shade(self, job: PictureJob) -> tuple[Singles, Singles]:
         """Return (m, 3) light from markers in the job's pixels, 1 for white in the brightest
         marker's place, and (m,) the share of each pixel that they leave free."""
-
-
-def occluders(
-    centres: Floats, radii: Floats, places: Floats, wanted: Bools
-) -> tuple[Indices, Indices]:
-    """Return, for each marker and lamp, the markers that may shadow it; too many when in doubt,
-    never too few.
-
-    ``centres`` (n, 3) and ``radii`` (n,) are spheres around the markers, none where not finite;
-    ``places`` (n, lamps, 3) lamps as each marker sees them; ``wanted`` (n, lamps) the pairs that
-    matter. The list of marker i and lamp l, number i * lamps + l, begins at that entry of the first
-    result (n * lamps + 1,) in the second.
-
-    Two markers are in each other's way only if the second's centre is within both radii of the way
-    to the lamp, and not farther than the lamp. The way is cut where it leaves the heights of all
-    markers. A grid of about one marker a cell spares a search through all.
-    """
-    n, lamps = wanted.shape
-    first = np.zeros(n * lamps + 1, np.int32)
-    here = np.flatnonzero(np.isfinite(centres).all(axis=1) & np.isfinite(radii))
-    if len(here) == 0 or lamps == 0:
-        return first, np.zeros(0, np.int32)
-    # Sort the markers into the cells of a square grid.
-    side = int(np.ceil(np.sqrt(len(here))))
-    low = centres[here, :2].min(axis=0)
-    per_mm = side / np.maximum(centres[here, :2].max(axis=0) - low, 1e-9)
-    column, row = np.minimum(((centres[here, :2] - low) * per_mm).astype(int), side - 1).T
-    cell = row * side + column
-    order = np.argsort(cell, kind="stable")
-    begin = np.searchsorted(cell[order], np.arange(side * side + 1))
-    grid = (low[0], low[1], per_mm[0], per_mm[1])
-    # The number of members is not known before: count once, and again with enough room.
-    spheres = np.column_stack([centres, radii])
-    members = np.empty(max(4 * n, 16), np.int32)
-    while True:
-        used = _occluder_lists(
-            spheres, here[order], begin, side, grid, places, wanted, first, members
-        )
-        if used <= len(members):
-            return first, members[:used].copy()
-        members = np.empty(used, np.int32)
 
 
 @njit(cache=True, nogil=True)

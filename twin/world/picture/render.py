@@ -1,8 +1,8 @@
 """The picture as light: markers by a renderer over the cover, seen through folded optics.
 
 `Renderer` sets exposure and view, and lays markers over the cover; a shader of `RENDERERS` draws
-them. `PathRenderer` has the whole picture made by Mitsuba's path integrator. Outlines come from the
-splat in closed form, whatever draws the picture, and are its truth.
+them. `_PathRenderer` has the whole picture made by Mitsuba's path integrator. Outlines come from
+the splat in closed form, whatever draws the picture, and are its truth.
 
 Validity: markers at least a sub-pixel in radius. Defocus is the mean of pictures through points of
 the pupil (`twin.world.picture.camera_rays`); outlines are those through its middle, and of light of
@@ -66,7 +66,7 @@ _SHADOW_PX = 0.2
 
 
 class Renderer:
-    """Renders one sensor's markers again and again; a `PathRenderer` where the scene asks for one.
+    """Renders one sensor's markers again and again; a `_PathRenderer` where the scene asks for one.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Renderer:
 
     def __new__(cls, scene: Scene, *_: Any, **__: Any) -> Renderer:
         """Return an object of the class that the scene's ``renderer`` names."""
-        return super().__new__(PathRenderer if scene.renderer == "path" else Renderer)
+        return super().__new__(_PathRenderer if scene.renderer == "path" else Renderer)
 
     def __init__(
         self,
@@ -332,7 +332,7 @@ class Renderer:
         )
 
 
-class PathRenderer(Renderer):
+class _PathRenderer(Renderer):
     """Has Mitsuba's path integrator make the whole picture."""
 
     @property

@@ -188,15 +188,6 @@ def window(scene: Scene, down_mm: float = 0.0) -> tuple[dict[str, Any], float]:
     return table, through
 
 
-def middle_of_window(scene: Scene) -> float:
-    """Return the height, mm, that is z = 0 in the scenes written here.
-
-    Mitsuba starts a ray behind an interface by a share of its coordinates: near 0 that is least.
-    """
-    camera, _, base = scene.optics
-    return base + sum(layer.thickness_mm for layer in camera.layers) / 2
-
-
 def write_stock_scene(
     folder: Path,
     name: str,
@@ -225,7 +216,8 @@ def write_stock_scene(
     """
     check_stock(scene)
     camera, light = scene.imaging
-    down = middle_of_window(scene)
+    # Mitsuba starts a ray behind an interface by a share of its coordinates: near 0 that is least.
+    down = scene.window_middle_mm
     interfaces, through = window(scene, down)
     table: dict[str, Any] = {
         "integrator": {"type": "path", "max_depth": 24, "rr_depth": 100},
