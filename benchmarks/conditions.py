@@ -187,8 +187,7 @@ def conditions(diameter: float, repeats: int) -> Iterator[dict[str, Any]]:
     for ratio in (1.3, 1.5, 1.8):
         turned = stretches(len(every), ratio, np.random.default_rng(5))
         yield measured(
-            f"strained, axis ratio {ratio}",
-            lambda i, s=turned: expose(clear(card, shifts[i], stretch=s), 20 + i),
+            f"strained, axis ratio {ratio}", lambda i, s=turned: expose(clear(card, shifts[i], stretch=s), 20 + i)
         )
     for psf in (1.3, 1.6, 2.0):
         yield measured(f"blur .7 to {psf} px", lambda i, b=psf: expose(clear(card, shifts[i], psf=b), 20 + i))

@@ -168,15 +168,9 @@ def _pairs() -> Iterator[tuple[str, Any]]:
         rest = sensor.picture(None, exposure=0)
         for pair in range(PAIRS // 2):
             place = rng.uniform(-2, 2, 2)
-            load = twin.Traction.disk(
-                centre_mm=(float(place[0]), float(place[1])),
-                radius_mm=float(rng.uniform(0.8, 2)),
-                force_n=(
-                    float(rng.normal(0, 0.1)),
-                    float(rng.normal(0, 0.1)),
-                    float(rng.uniform(0.2, 1)),
-                ),
-            )
+            radius = float(rng.uniform(0.8, 2))
+            force = (*rng.normal(0, 0.1, 2).tolist(), float(rng.uniform(0.2, 1)))
+            load = twin.Traction.disk(tuple(place.tolist()), radius, force)
             found = twin.track(rest, sensor.picture(load, exposure=pair + 1), sensor.layout_px)
             yield f"pair/{name}/{pair}/shift_px", found.shift_px
             yield f"pair/{name}/{pair}/sd_px", found.sd_px

@@ -537,10 +537,7 @@ def _budget() -> dict[str, str]:
             }
         )
         shares.append({"scene": scene, **{stage: 100 * part_of_error(row) for stage, row in mine.items()}})
-    tables = {
-        "budget": [limits, shares],
-        "auto": [[row for row in rows if "stage" not in row]],
-    }
+    tables = {"budget": [limits, shares], "auto": [[row for row in rows if "stage" not in row]]}
     return {mark: "\n" + "".join(f"{table(each)}\n\n" for each in parts) for mark, parts in tables.items()}
 
 

@@ -1,4 +1,4 @@
-"""Bodies from STL files deform as the formulas they stand for, to their facets' accuracy."""
+"""Bodies from STL files deform as the formulas they stand for, to their facets' accuracy; domes as NGSolve says."""
 
 import json
 from functools import cache
@@ -7,16 +7,7 @@ import numpy as np
 import pytest
 from slabs import block_boxes
 from standard_bodies import BLOCK, DOME, REFERENCE, relative_error, traction_of, write_stl
-from stl_shapes import (
-    SENSING_BELOW,
-    bracket,
-    rounded_pad,
-    solid_box,
-    solid_bracket,
-    solid_dome,
-    solid_pad,
-    wedge,
-)
+from stl_shapes import SENSING_BELOW, bracket, rounded_pad, solid_box, solid_bracket, solid_dome, solid_pad, wedge
 
 import twin.world.mesh.body_mesh
 from benchmarks.layered import Layered, bump_displacement

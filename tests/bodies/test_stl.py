@@ -1,4 +1,4 @@
-"""STL files are never trusted: every bad one gives exit code 2 and says what is wrong."""
+"""STL files are never trusted: every bad one is refused with a cause; distances to the pieces of whole ones."""
 
 import re
 import tracemalloc

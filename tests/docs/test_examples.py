@@ -1,4 +1,4 @@
-"""The examples run as they stand."""
+"""The examples run as they stand; how notebooks are executed and shown."""
 
 import importlib.util
 import json

@@ -1,3 +1,5 @@
+"""Forces held to pushes or friction cones, and fields that know where the load is."""
+
 import dataclasses
 
 import numpy as np
@@ -113,7 +115,7 @@ def test_any_weight_is_survived():
     assert np.linalg.norm(field.force_n) < 1e-4, "a weight beyond all data holds the forces at zero"
 
 
-# --- tests/sense/test_local.py --------------------------------------------------------------------
+# --- fields that know where the load is -----------------------------------------------------------
 
 
 def expected_sizes(force, grid):

@@ -141,7 +141,7 @@ def test_a_file_that_is_there_is_kept(tmp_path: Path) -> None:
     assert (tmp_path / "mine.toml").read_text() == "precious"
 
 
-# --- what is given to the python interface by mistake is told in the field's terms, before anything is computed
+# --- what is given to the Python interface by mistake is told in the field's terms -----------------
 
 
 PICTURE = np.zeros((48, 64, 3), np.uint8)

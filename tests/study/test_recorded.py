@@ -1,4 +1,4 @@
-"""`twin reconstruct` on recorded files: kinds of input and output, failures that don't stop it, exit codes."""
+"""`twin reconstruct` on recorded files: kinds of input and output, failures that don't stop it; `calibrate DIR`."""
 
 import csv
 import io

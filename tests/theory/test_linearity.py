@@ -7,9 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from benchmarks.contact_theory import (
-    punch_stiffness,
-)
+from benchmarks.contact_theory import punch_stiffness
 from benchmarks.pages import law_error, stored
 from twin.errors import InputError
 from twin.parts.material import plane_strain_modulus

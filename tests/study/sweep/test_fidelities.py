@@ -1,4 +1,4 @@
-"""The full chain over several exposures of the same light; two pillars 2 mm apart are told apart."""
+"""The full chain over several exposures of the same light; linear information loses nothing by mirror symmetry."""
 
 import warnings
 from collections.abc import Callable
@@ -174,12 +174,7 @@ def software() -> _Software:
         noise[view.markers.of(name)] = shift_sd(scene, name, view.diameter_px[view.markers.of(name)])
     calibration = nominal_calibration(sensor, compliance)
     found = Found(
-        rest_px=view.pixels,
-        shift_px=shift,
-        sd_px=noise,
-        layer=calibration.layer,
-        channels={},
-        method="disc-fit",
+        rest_px=view.pixels, shift_px=shift, sd_px=noise, layer=calibration.layer, channels={}, method="disc-fit"
     )
     return _Software(figures, shown, found, calibration, noise)
 

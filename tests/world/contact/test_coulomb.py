@@ -1,4 +1,4 @@
-"""Coulomb's law against a slow iteration of another kind."""
+"""Coulomb's law against a slow iteration, the active set against every set of patches of small problems."""
 
 import math
 from dataclasses import replace
@@ -102,7 +102,7 @@ def test_more_than_friction_carries_is_refused():
         solve_coulomb(problem, np.zeros((K, 3)), PUSHED)
 
 
-# --- the active-set solver against enumeration of every set of patches, on small problems ---------
+# --- the active set -------------------------------------------------------------------------------
 
 
 def small_problem(seed, *, by_force, k=7):

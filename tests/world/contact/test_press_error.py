@@ -108,9 +108,7 @@ def test_two_probes_tell_the_larger_error():
 
 
 @pytest.mark.parametrize(
-    "wanted",
-    [ball(3, force_n=(0, 0, 0.2)), punch(5, force_n=(0, 0, 1))],
-    ids=["sphere", "flat punch"],
+    "wanted", [ball(3, force_n=(0, 0, 0.2)), punch(5, force_n=(0, 0, 1))], ids=["sphere", "flat punch"]
 )
 def test_where_no_markers_are_the_points_below_the_contact_count(wanted):
     """The patches, under a given force, change no total, but how far the rubber moves there."""

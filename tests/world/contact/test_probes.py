@@ -6,20 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from presses import (
-    STUCK,
-    ball,
-    centre_of,
-    down,
-    hull,
-    only,
-    patch_areas,
-    pressed,
-    punch,
-    push,
-    pushed,
-    radii_of,
-)
+from presses import STUCK, ball, centre_of, down, hull, only, patch_areas, pressed, punch, push, pushed, radii_of
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
@@ -172,12 +159,6 @@ def test_rounded_punch(edge):
 
 
 ROCKING = math.radians(1.0) * rocking_stiffness(2.5, 1.0, 0.5)
-
-
-def test_a_punch_tilted_before_the_push_has_a_moment():
-    state = pressed(punch(5, tilt_deg=(0, 1.0, 0), steps=(push(1.0),)))
-    assert state.torques_nmm[1] == pytest.approx(ROCKING, rel=0.016)
-    assert state.torques_nmm[0] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("given", [{"turn_deg": {"x": -1.0}}, {"torque_nmm": {"x": -ROCKING}}])
@@ -447,10 +428,3 @@ def test_recipes_that_are_refused(words, given):
     path = {} if "steps" in given else {"indentation_mm": 0.1}
     with pytest.raises(RecipeError, match=words):
         Press(**{"probe": SHAPES["sphere"], **path, **given})
-
-
-def test_an_open_stl_is_refused(tmp_path):
-    vertices, triangles = sphere_triangles(2.0, 10)
-    file = write_stl(tmp_path / "open.stl", vertices[triangles[1:]])
-    with pytest.raises(RecipeError, match="not watertight"):
-        Stl(file=str(file))

@@ -1,4 +1,4 @@
-"""Solved fields on disk: equal to a solve, never outliving what made them, and never in the way."""
+"""Solved fields on disk: equal to a solve, never outliving what made them; the sparse solver checks every solve."""
 
 import importlib.util
 import os

@@ -1,4 +1,4 @@
-"""Tiles: exact totals, the true surface, and footprints that leave it."""
+"""Tiles: exact totals, the true surface, and footprints that leave it; what the correction takes off narrow loads."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Stiff beads for one press after another: the kept map against the formulas."""
+"""Stiff beads for one press after another: the kept map against the formulas; the option, off unless asked."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Pictures by Mitsuba's path integrator: the same optics, and the light that the others leave out."""
+"""Pictures by Mitsuba's path integrator, which has light that others leave out, and scenes for stock Mitsuba."""
 
 from dataclasses import replace
 
@@ -93,7 +93,7 @@ def test_where_mitsuba_does_not_work_a_path_traced_scene_is_refused(monkeypatch)
         Renderer.method(block().model_copy(update={"renderer": "path"}))
 
 
-# --- scenes for stock mitsuba ---------------------------------------------------------------------
+# --- scenes for stock Mitsuba ---------------------------------------------------------------------
 
 
 CORNERS = [(x, y, 105.0) for x in (-55.0, 55.0) for y in (-45.0, 45.0)]
