@@ -376,6 +376,8 @@ def explain(
     scene = file.parent / "scene.toml"
     text = scene.read_text(encoding="utf-8") if scene.is_file() else ""
     found = findings_of(score, text)
+    if not found:
+        raise InputError(f"{file}: holds no number of a run; compute one with --want score")
     if json_:
         _print_json([asdict(one) for one in found])
     else:

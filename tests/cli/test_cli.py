@@ -83,6 +83,8 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["run"], ["run", "scene"]),
         (["explain", "FOLDER"], ["no such file", "give the score.json of a run"]),
         (["explain", "PICTURE"], ["can't be read as JSON"]),
+        (["explain", "EMPTY.json"], ["EMPTY.json: holds no number of a run"]),
+        (["scenes", "--new", ""], ["--new '.': give the name of a file"]),
         (["run", "block_bare", "--open", "--want", "score"], ["--want leaves the report out"]),
         (["run", "kamiyama_piller"], ["did you mean 'kamiyama_pillar'"]),
         (["run", "minne.toml"], ["did you mean 'mine.toml'"]),
@@ -115,6 +117,7 @@ def test_wrong_input_is_told_in_the_users_terms(arguments, words, tmp_path, caps
     Path("PICTURE").write_bytes(b"\x89PNG\r\n")
     Path("BODY.stl").write_bytes(bytes(84))
     Path("LINK").symlink_to("NOWHERE")
+    Path("EMPTY.json").write_text('{"elastic": [], "tracking": null, "force": 3}')
     Path("RECORDING").mkdir()
     Path("RECORDING/rest.png").touch()
     for name in ("OMP", "OPENBLAS", "MKL", "NUMBA"):  # which commands with workers would set for good

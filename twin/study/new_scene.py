@@ -70,6 +70,8 @@ class Pad:
         InputError
             Numbers out of their range, dots that don't fit, or a file of this name.
         """
+        if not path.name:
+            raise InputError(f"--new '{path}': give the name of a file, such as mine.toml")
         target = path if path.suffix == ".toml" else path.with_name(path.name + ".toml")
         if target.exists():
             raise InputError(f"{target}: is there already; give another name, or move it away")
