@@ -206,7 +206,7 @@ CAMERAS = Room(
             "effects",
             "What real sensors have, off above and on below, brightened: red LEDs of unequal power; LEDs as discs that "
             "the window mirrors; dust on the window; hot and dead pixels, and noise of rows and columns; glossy red "
-            "beads.",
+            "beads; ink that did not spread evenly.",
             """
             light = {"light.positions_mm": [[11, 8, 105], [-11, 8, 105], [11, -8, 105], [-11, -8, 105]]}
             effects = {
@@ -217,8 +217,9 @@ CAMERAS = Room(
                     "ccd": {"hot_pixels": 300, "dead_pixels": 300, "row_noise_e": 120, "column_noise_e": 120}
                 },
                 "gloss": {"markers.red.gloss": [2.5, 0.05]},
+                "texture": {"markers.red.texture": [0.4, 0.2], "markers.blue.texture": [0.4, 0.2]},
             }
-            figure, axes = plt.subplots(2, 5, figsize=(10, 3.4), layout="constrained")
+            figure, axes = plt.subplots(2, 6, figsize=(12, 3.4), layout="constrained")
             for column, (name, effect) in zip(axes.T, effects.items()):
                 for ax, keys in zip(column, (light, light | effect)):
                     picture = twin.Sensor(twin.load_scene("kamiyama_pillar", keys)).picture(None)

@@ -55,6 +55,10 @@ class MarkerLayer(Part):
     gloss
         Refractive index, above the rubber's, and roughness of a smooth skin over the colour: GGX's
         alpha, 0.01 to 1, small for sharp highlights.
+    texture
+        Relative standard deviation of the colour's brightness over a marker, and the width of its
+        grains as a share of the diameter: ink that did not spread evenly. Each marker has its own,
+        the same for every sensor and picture of the scene's ``seed``.
     stiff
         Whether the truth takes the beads as rigid against the rubber: each moves with the mean of
         the field over its surface and pushes back on the rubber, which moves all markers, to first
@@ -73,6 +77,9 @@ class MarkerLayer(Part):
     colour: tuple[Share, Share, Share]
     gloss: (
         tuple[Annotated[float, Field(gt=1, le=3)], Annotated[float, Field(ge=0.01, le=1)]] | None
+    ) = None
+    texture: (
+        tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0.02, le=2)]] | None
     ) = None
     stiff: bool = False
 

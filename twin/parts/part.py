@@ -47,6 +47,7 @@ LATER: tuple[tuple[str, object], ...] = (
     ("colours", []),
     ("dust", None),
     ("gloss", None),
+    ("texture", None),
     ("hot_pixels", 0),
     ("dead_pixels", 0),
     ("row_noise_e", 0.0),

@@ -424,10 +424,10 @@ class Sensor:
 
     @cached_property
     def markers_strain(self) -> bool:
-        """Whether a layer strains with the body (or is stiff), so that pictures need the field's
-        gradient."""
+        """Whether a layer strains with the body, is stiff, or has a texture, which turns, so that
+        pictures need the field's gradient."""
         layers = self.actual.scene.markers.values()
-        return any(layer.kind == "print" or layer.stiff for layer in layers)
+        return any(each.kind == "print" or each.stiff or each.texture for each in layers)
 
     def _warn_if_inaccurate(self, got: float) -> None:
         """Warn of a load under which displacements are less accurate than requested."""
@@ -701,6 +701,7 @@ class Sensor:
             motion.displacement_mm if motion is not None else None,
             motion.gradient if motion is not None else None,
             self.actual.prints,
+            self.nominal.seed,
         )
 
     def project(self, points_mm: Points, which: Literal["actual", "nominal"] = "actual") -> Pixels:

@@ -11,12 +11,14 @@ from small_scenes import SPLAT, beads, block, changed, measured, mitsuba, rest_o
 
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Ccd, Light
+from twin.parts.markers import MarkerSet
 from twin.parts.material import Cover
 from twin.parts.part import identity
 from twin.parts.press import Cylinder
 from twin.world.contact.probe_gap import Approach, PlacedProbe
 from twin.world.picture.ccd import Pattern, expose
 from twin.world.picture.cover import CoverMotion
+from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import Lamps
 from twin.world.picture.render import Renderer
 from twin.world.picture.stock_scene import surfaces
@@ -34,7 +36,8 @@ def test_what_is_off_changes_no_description():
     assert set(identity(table["light"])) == {"positions_mm", "exponent", "profile", "radius_mm", "ambient"}
     assert "abbe_number" not in identity(table["material"])
     assert "dust" not in identity(table["camera"])
-    assert "gloss" not in identity(table["markers"]["red"])
+    assert not {"gloss", "texture"} & set(identity(table["markers"]["red"]))
+    assert "transmittance" not in identity(table["cover"])
     new = ("pixels", "row", "column", "haze", "ghost", "smear", "flicker", "auto", "balance", "adc", "bits")
     assert not [key for key in identity(table["ccd"]) if any(part in key for part in new)]
 
@@ -406,6 +409,68 @@ def test_a_skin_of_a_smaller_index_than_the_rubber_is_refused():
         RecipeError, match=r"markers.red.gloss = \(1.59, 0.1\): the skin's index must be above .* = 1.6"
     ):
         Renderer.method(dense)
+
+
+# Texture of prints
+
+
+def textured(spread, grain, **keys):
+    """Return a scene of six white prints of 60 px, and its markers with and without texture, moved by whole pixels."""
+    scene = bare_block(light={"ambient": 1.0})
+    grid = {"pitch_mm": 1.4, "diameter_mm": 1.2, "columns": 3, "rows": 2, "offset_mm": (0.0, 0.0), **keys}
+    layers = {
+        name: scene.markers["red"].model_copy(
+            update={"kind": "print", "colour": (1.0,) * 3, "texture": texture, **grid}
+        )
+        for name, texture in (("even", None), ("rough", (spread, grain)))
+    }
+    return scene.model_copy(update={"markers": layers}), layers
+
+
+def rough_share(scene, layers, move_mm, make=SPLAT, seed=1, least=0.99):
+    """Return the texture's factor in each pixel, NaN beside the prints."""
+    pictures = []
+    for layer in layers.values():
+        prints = {"red": layer}
+        at = MarkerSet.place(scene.body, prints)
+        shapes = Ellipsoids.of(at, prints, np.tile(move_mm, (len(at), 1)), seed=seed)
+        one = scene.model_copy(update={"markers": prints})
+        pictures.append(without_exposure(one, shapes, make)[:, :, 1])
+    even, rough = pictures
+    return np.where(even > least * even.max(), rough / np.maximum(even, 1e-9), np.nan)
+
+
+def test_a_texture_has_its_spread_and_grain_and_moves_with_the_marker():
+    scene, layers = textured(0.2, 0.15)
+    shares = [rough_share(scene, layers, (0.0, 0.0, 0.0), seed=seed) for seed in range(1, 9)]
+    assert np.nanmean(shares) == pytest.approx(1, abs=0.02)
+    assert np.nanstd(shares) == pytest.approx(0.2, rel=0.1)
+    per_mm = np.diff(seen_at(np.array([[0.0, 0, 6.0], [1.0, 0, 6.0]]), scene)[:, 0])[0]
+    for seed, share in enumerate(shares[:2], 1):
+        aside = round(0.3 * per_mm)
+        moved = rough_share(scene, layers, (aside / per_mm, 0.0, 0.0), seed=seed)[:, aside:]
+        both = np.isfinite(moved) & np.isfinite(share[:, :-aside])
+        assert both.sum() > 2000
+        assert np.abs(moved - share[:, :-aside])[both].max() < 0.02
+    step = round(0.5 * 0.15 * 1.2 * per_mm)
+    near, far = (
+        np.nanmean([(share[:, n:] - 1) * (share[:, :-n] - 1) for share in shares]) / 0.04 for n in (step, 4 * step)
+    )
+    assert 0.3 < near < 0.8
+    assert abs(far) < 0.3
+    assert np.nanmax(np.abs(shares[0] - shares[1])) > 0.2
+
+
+def test_paths_see_the_same_texture():
+    scene, layers = textured(0.2, 0.3)
+    scene = changed(scene, light={"ambient": 0.0}, accuracy={"paths": 64})
+    path = scene.model_copy(update={"renderer": "path"})
+    ours, theirs = (
+        rough_share(one, layers, (0.0, 0.0, 0.0), make, least=0.8) for one, make in ((scene, SPLAT), (path, mitsuba()))
+    )
+    both = np.isfinite(ours) & np.isfinite(theirs)
+    assert both.sum() > 300
+    assert np.corrcoef(ours[both], theirs[both])[0, 1] > 0.9
 
 
 # What is seen behind the markers and in the rubber

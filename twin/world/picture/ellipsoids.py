@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Points, frozen
+from twin.arrays import Bools, Floats, Ints, Points, Singles, frozen
 from twin.errors import InputError
 from twin.parts.markers import MarkerLayer, MarkerSet
+from twin.parts.scene import Purpose
+
+_WAVES = 8
+"""Plane waves that make a texture."""
 
 PRINT_THICKNESS = 0.1
 """Thickness of a print over its diameter (assumed: silk-screen ink about 0.05 mm thick)."""
@@ -35,12 +39,16 @@ class Ellipsoids:
         (n, 3) diffuse reflectance, red, green, blue.
     gloss
         (n, 2) refractive index and roughness of a smooth skin, 0 for none; None: none has one.
+    texture
+        (n, k, 5) wave vectors on the unit ball, phases and amplitudes of the colour's brightness;
+        None: all are even.
     """
 
     centres: Points
     axes: Floats
     colour: Floats
     gloss: Floats | None = None
+    texture: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -58,7 +66,19 @@ class Ellipsoids:
             axes=self.axes[which],
             colour=self.colour[which],
             gloss=None if self.gloss is None else self.gloss[which],
+            texture=None if self.texture is None else self.texture[which],
         )
+
+    def shade(self, which: Ints, unit: Points) -> Singles:
+        """Return (m,) factors of the texture on the brightness of markers of numbers ``which`` (m,)
+        at places ``unit`` (m, 3) of the unit ball."""
+        assert self.texture is not None
+        total = np.ones(len(which), np.float32)
+        x, y, z = unit.astype(np.float32).T
+        for wave in self.texture.astype(np.float32).transpose(1, 2, 0):
+            a, b, c, phase, size = wave.take(which, axis=1)
+            total += size * np.cos(a * x + b * y + c * z + phase)
+        return np.maximum(total, np.float32(0))
 
     @staticmethod
     def of(
@@ -67,6 +87,7 @@ class Ellipsoids:
         displacement: Points | None = None,
         gradient: Floats | None = None,
         prints: MarkerSet.Prints | None = None,
+        seed: int = 1,
     ) -> Ellipsoids:
         """Return markers that move with the body.
 
@@ -84,6 +105,8 @@ class Ellipsoids:
             turning or straining.
         prints
             How single markers differ from their layer; None: not at all.
+        seed
+            Of the markers' textures.
 
         Raises
         ------
@@ -113,6 +136,13 @@ class Ellipsoids:
                 axes[rows] = (np.eye(3) + g[rows]) @ disc
             colour[rows] = layer.colour
             gloss[rows] = layer.gloss or 0.0
+        texture = None
+        if any(layer.texture for layer in layers.values()):
+            texture = _waves(n, seed).copy()
+            for name, layer in layers.items():
+                spread, grain = layer.texture or (0.0, 1.0)
+                texture[markers.of(name), :, :3] *= np.pi / (2 * grain)
+                texture[markers.of(name), :, 4] *= spread
         # Deviations of single markers: size, shade, or no marker at all.
         if prints is not None:
             axes *= prints.size[:, None, None]
@@ -123,7 +153,19 @@ class Ellipsoids:
             axes=frozen(axes),
             colour=frozen(colour),
             gloss=frozen(gloss) if gloss.any() else None,
+            texture=None if texture is None else frozen(texture),
         )
+
+
+@lru_cache(maxsize=4)
+def _waves(count: int, seed: int) -> Floats:
+    """Return (count, k, 5) waves of `Ellipsoids.texture` of a length of about 1 and of a standard
+    deviation of 1 in all."""
+    rng = Purpose.PRINT.stream(seed, 2)
+    way = rng.standard_normal((count, _WAVES, 3))
+    way *= rng.uniform(0.7, 1.3, (count, _WAVES, 1)) / np.linalg.norm(way, axis=2, keepdims=True)
+    phase = rng.uniform(0, 2 * np.pi, (count, _WAVES, 1))
+    return np.concatenate([way, phase, np.full_like(phase, np.sqrt(2 / _WAVES))], axis=2)
 
 
 def _turn(gradient: Floats) -> Floats:

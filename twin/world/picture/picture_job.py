@@ -262,6 +262,29 @@ class PictureJob:
                 return first, members[:used].copy()
             members = np.empty(used, np.int32)
 
+    def texture(self, markers: Ellipsoids, width: int) -> Singles:
+        """Return (m,) factors of the markers' textures on the light of the pixels, of a picture of
+        ``width`` px; of the marker whose middle is nearest, in its own size, where several meet."""
+        pixel = np.repeat(np.arange(len(self.pixels)), np.diff(self.first))
+        marker = self.members
+        row, column = np.divmod(self.pixels[pixel], width)
+        aside = np.column_stack([column, row]) - self.centres_px[marker]
+        mapped = self.jacobian @ markers.axes
+        # The place on the unit ball: the least that is seen there, and up to the camera.
+        inverse = np.swapaxes(mapped, 1, 2) @ np.linalg.inv(self.conjugate)
+        unit = np.einsum("mij,mj->mi", inverse[marker], aside)
+        away = np.sqrt(np.sum(unit**2, axis=1))
+        own = self.isolated[-1]
+        order = own + np.lexsort([away[own:], pixel[own:]])
+        chosen = np.concatenate([np.arange(own), order[self.first[own:-1] - own]])
+        unit, away, marker = unit[chosen], away[chosen], marker[chosen]
+        up = np.cross(mapped[:, 0], mapped[:, 1])
+        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        up *= np.where(np.einsum("ni,ni->n", markers.axes[:, 2], up) < 0, -1.0, 1.0)[:, None]
+        unit = unit / np.maximum(away, 1.0)[:, None]
+        unit += np.sqrt(np.maximum(1 - away**2, 0.0))[:, None] * up[marker]
+        return markers.shade(marker, unit)
+
 
 class Shader(Protocol):
     """A renderer of jobs, made for one `View`."""

@@ -262,6 +262,8 @@ class Renderer:
             light *= self.background.change(cover)
         if (behind := self._view.behind(() if cover is None else cover.probes)) is not None:
             light += behind
+        if markers.texture is not None:
+            marks = marks * job.texture(markers, light.shape[1])[:, None]
         there = light.reshape(-1, 3)
         seen = there.take(job.pixels, axis=0)
         seen *= free[:, None]

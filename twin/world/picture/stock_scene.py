@@ -117,11 +117,15 @@ def _marker_triangles(markers: Ellipsoids) -> Triangles:
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     faces = ball.faces[None] + len(unit) * np.arange(len(markers))[:, None, None]
     gloss = None if markers.gloss is None else tuple(markers.gloss[0].tolist())
+    colours = np.repeat(markers.colour, len(unit), axis=0)
+    if markers.texture is not None and not (gloss and gloss[0]):  # `roughplastic` is even
+        which = np.repeat(np.arange(len(markers)), len(unit))
+        colours *= markers.shade(which, np.tile(unit, (len(markers), 1)))[:, None]
     return Triangles(
         places=places.reshape(-1, 3),
         normals=normals.reshape(-1, 3),
         faces=faces.reshape(-1, 3),
-        colours=np.repeat(markers.colour, len(unit), axis=0),
+        colours=colours,
         gloss=gloss if gloss and gloss[0] else None,
     )
 
