@@ -44,10 +44,13 @@ def relative(better, state):
 
 
 STEPS = (down(0.1), Step(move_mm=(0.02, 0.0, 0.0)))
+FORCED = Step(force_n=(None, None, 0.2))
 PRESSES = {
     "sphere at a depth": ball(10, indentation_mm=0.1),
     "sphere under a force": ball(10, force_n=(0, 0, 0.2)),
     "punch at a depth": punch(3, indentation_mm=0.1),
+    "stuck sphere under a force, then held": ball(10, friction=STUCK, steps=(FORCED, *STEPS[1:])),
+    "the same, then lifted halfway": ball(10, friction=STUCK, steps=(FORCED, Step(move_mm=(0.02, 0.0, -0.07)))),
     "stuck sphere": ball(10, friction=STUCK, steps=STEPS),
     "sphere that slips": ball(10, friction=0.5, steps=STEPS),
 }

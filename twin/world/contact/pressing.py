@@ -762,7 +762,7 @@ def press(
     if relaxation is not None:
         _refuse_unguided(programme)
     states, reason = _solved(programme, increments, memory)
-    estimates = Estimates(programme, increments, _solved, watched)
+    estimates = Estimates(programme, states, increments, _solved, watched)
     states = [
         state if state.estimate else replace(state, estimate=partial(estimates.of, step=step))
         for step, state in enumerate(states)
