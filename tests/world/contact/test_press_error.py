@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk, j0, j1
 
 from twin.errors import AccuracyWarning
-from twin.parts.press import Step
+from twin.parts.press import Object, Press, Step
 from twin.study.recipe import load_scene, validate_scene
 from twin.study.sensor import Sensor
 
@@ -75,21 +75,30 @@ def test_patches_that_stick_as_a_whole_leave_an_error_sideways(across):
     assert off < state.error.patches.force < 5.0 * off
 
 
+def on_block(across, size_mm, modulus, nu, **press):
+    """Press on a block, with so many patches across."""
+    sides = dict(zip(("width_mm", "length_mm", "thickness_mm"), size_mm, strict=True))
+    return Sensor(validate_scene({
+        "body": {"shape": "block", **sides}, "press": press, "tolerance": {"preset": "none"},
+        "material": {"youngs_modulus_mpa": modulus, "poisson_ratio": nu},
+        "accuracy": {"displacement": 0.02, "contact_patches": across},
+    }, "block")).press()  # fmt: skip
+
+
 def test_patches_cut_the_border_of_a_wide_contact_on_thin_rubber():
     """A ball that sticks to a layer as thick as the contact's radius."""
+    on_gel = {"probe": {"kind": "sphere", "diameter_mm": 88.0}, "at_mm": [-7.8, -5.7], "friction": 1.0,
+              "steps": [{"move_mm": {"z": 0.137}}]}  # fmt: skip
+    state, finer = (on_block(across, (132.0, 118.0, 3.09), 0.8, 0.49, **on_gel) for across in (12, 24))
+    off, _ = relative(finer, state)
+    assert off < state.error.force < 3.0 * off
 
-    def on_gel(across):
-        pad = {"shape": "block", "width_mm": 132.0, "length_mm": 118.0, "thickness_mm": 3.09}
-        ball_on_it = {"probe": {"kind": "sphere", "diameter_mm": 88.0}, "at_mm": [-7.8, -5.7],
-                      "friction": 1.0, "steps": [{"move_mm": {"z": 0.137}}]}  # fmt: skip
-        return Sensor(validate_scene({
-            "body": pad, "material": {"youngs_modulus_mpa": 0.8, "poisson_ratio": 0.49},
-            "press": ball_on_it, "tolerance": {"preset": "none"},
-            "accuracy": {"displacement": 0.02, "contact_patches": across},
-        }, "thin")).press()  # fmt: skip
 
-    state = on_gel(12)
-    off, _ = relative(on_gel(24), state)
+def test_a_rim_that_patches_cut_pushes_sideways_next_to_an_edge():
+    near = {"probe": {"kind": "cylinder", "diameter_mm": 1.73, "edge_mm": 0.173}, "at_mm": [0.86, -0.86],
+            "friction": 0.3, "steps": [{"force_n": {"z": 0.268}}]}  # fmt: skip
+    state, finer = (on_block(across, (11.18, 6.9, 2.3), 2.33, 0.3, **near) for across in (12, 24))
+    off, _ = relative(finer, state)
     assert off < state.error.force < 3.0 * off
 
 
@@ -98,6 +107,14 @@ def test_a_corner_that_patches_cut_is_off_by_more_than_a_rim():
     state = pressed(wanted, across=10)
     off, _ = relative(pressed(wanted, across=28), state)
     assert off < state.error.force < 3.0 * off
+
+
+def test_a_force_leaves_an_error_of_depth_in_the_step_after_it_too():
+    """A letter that sticks, pressed by a force and then moved sideways."""
+    letter = Press(probe=Object(shape="letter", width_mm=2.6), friction=STUCK, steps=(FORCED, STEPS[1]))
+    state, finer = (pressed(letter, across=across) for across in (8, 24))
+    for stated, off in zip((state.error.force, state.error.indentation), relative(finer, state), strict=True):
+        assert off < stated < 6.0 * off
 
 
 def test_two_probes_tell_the_larger_error():
