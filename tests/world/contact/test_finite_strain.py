@@ -29,6 +29,7 @@ def truth_of(name):
 
 TRUTH, PLACES = truth_of("neohooke")
 ON_FINGER, IN_FINGER = truth_of("finger_neohooke")
+ON_DOME = json.loads((REFERENCE / "dome_neohooke.json").read_text())["cases"]
 PROBES = {"sphere": Sphere, "cylinder": Cylinder, "cone": Cone}
 BALL = Sphere(diameter_mm=6)
 STICKY = float("inf")
@@ -270,7 +271,7 @@ def test_finger_is_another_codes_and_so_is_the_linearity_that_the_linear_law_mea
     stated = BodyStrain(press, body, material, straight, IN_FINGER).error
     assert left < stated.markers + case["own_error"] < 2e-2
     with pytest.warns(twin.AccuracyWarning, match="press with less force, as large strain is solved on a coarse"):
-        assert state.error.strain.markers > sensor.nominal.accuracy.displacement
+        assert state.error.markers > sensor.nominal.accuracy.displacement
     assert state.indentation_mm / straight.indentation_mm - 1.0 == pytest.approx(deeper(case), abs=5e-3)
     assert state.force_n[2] == pytest.approx(case["force_n"], rel=1e-9)
     assert state.move_mm[2] == pytest.approx(state.indentation_mm, rel=1e-9)
@@ -279,6 +280,35 @@ def test_finger_is_another_codes_and_so_is_the_linearity_that_the_linear_law_mea
         assert found.linearisation_basis == "measured"
         assert found.linearisation_error == pytest.approx(missed, rel=0.25)
         assert not found.warnings
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ON_DOME, ids=lambda case: case["law"])
+def test_sphere_on_a_dome_is_another_codes_all_around_and_so_is_its_contact_radius(case):
+    """The other code's dome is one of revolution, the mesh is not: places lie in four half planes.
+
+    Edges 0.85 of the contact's radius long left 1.1 and 0.9 %, more than was stated; the spread of the pressure at rest
+    made the radius 5 % too small.
+    """
+    press = twin.Press(probe=Sphere(diameter_mm=case["diameter_mm"]), force_n=(0, 0, case["force_n"]))
+    shape = {f"body.{key}": case[key] for key in ("radius_mm", "height_mm")}
+    rubber = {"material.poisson_ratio": case["poisson_ratio"], **shape}
+    straight = made("linear", "dome_bare", **rubber).press(press)
+    material = made(case["law"], "dome_bare", **rubber, **{"material.law_ratios": case["ratios"]}).nominal.material
+    body = made("linear", "dome_bare", **rubber).nominal.body
+    r, z = np.array(case["places_mm"]).T
+    angles = np.radians([0.0, 90.0, 180.0, 270.0])
+    places = np.concatenate([np.column_stack([r * np.cos(a), r * np.sin(a), z]) for a in angles])
+    more = BodyStrain(press, body, material, straight, places)
+    change = np.array(case["strained_mm"]) - np.array(case["linear_mm"])
+    wanted = np.concatenate([np.outer(change[:, 0], [np.cos(a), np.sin(a), 0.0]) for a in angles])
+    wanted[:, 2] = np.tile(change[:, 1], 4)
+    size = largest(np.array(case["linear_mm"]))
+    left = largest(more.displacement(places) - wanted) / size
+    assert left < 7e-3 < largest(wanted) / size / 7
+    assert left < more.error.markers < 3.6 * left
+    assert more.indentation_mm / case["indentation_linear_mm"] == pytest.approx(deeper(case), abs=1.5e-3)
+    assert more.wider[0] == pytest.approx(case["contact_mm"] / case["contact_linear_mm"], rel=8e-3)
 
 
 @pytest.mark.slow

@@ -196,7 +196,7 @@ def test_sphere_that_slides_is_rubbed_by_the_coefficient_times_its_pressure_alon
     )
     rubber = Rubber(mesh, body, LAWS[0])
     touch = SurfaceTouch(mesh, body, approach, True, [(approach.touch_mm, 2.5)])
-    contact = RubberContact(rubber, [touch], friction)
+    contact = RubberContact(rubber, [touch], 1.0, friction)
     by_motion = np.zeros((1, 6), bool)
     place = deep * np.eye(6)[2][None]
     guess = replace(contact.at_rest(), pose=place, active=touch.rest_gap(np.zeros(6))[0] < deep / 2)

@@ -66,8 +66,8 @@ class _Fineness:
     parts: tuple[int, int]
 
 
-_FINE = _Fineness(0.85, 0.8, 0.3, (4, 2))
-_COARSE = _Fineness(1.1, 0.9, 0.4, (3, 1))
+_FINE = _Fineness(0.6, 0.8, 0.3, (4, 2))
+_COARSE = _Fineness(0.85, 0.8, 0.4, (3, 1))
 """The mesh of the displacement, and the one that estimates its error."""
 
 _WAY = 0.4
@@ -80,9 +80,10 @@ on which what linear theory leaves out hardly depends (docs/validity.md)."""
 _TOLERANCE = 1e-3
 """What Newton's steps leave, over the largest displacement."""
 
-_ERROR_OVER_CHANGE = 1.1
-_FLAT_OVER_CHANGE = 1.5
-"""The error over the change to the coarser mesh, and that under a flat face (docs/validity.md)."""
+_ERROR_OVER_CHANGE = 0.9
+_SHARP_OVER_CHANGE = 1.2
+"""The error over the change to the coarser mesh under spheres, and under cones and flat faces
+(docs/validity.md)."""
 
 _RUBS_OVER_CUBE = 14.0
 """What friction adds to the error, over the cube of what linear theory leaves out: both meshes miss
@@ -161,8 +162,8 @@ class BodyStrain(FiniteStrain):
             centre, size = self._contacts[0][1][-1]
             inward = body.piece_normals(centre[None])[0, 0]
             watched = centre + size * np.linspace(0.3, 1.0, 8)[:, None] * inward
-        flat = any(approach.is_flat for approach in approaches)
-        factor = _FLAT_OVER_CHANGE if flat else _ERROR_OVER_CHANGE
+        round_ = all(isinstance(one.probe, Sphere) for one in presses)
+        factor = _ERROR_OVER_CHANGE if round_ else _SHARP_OVER_CHANGE
         self._first = _COARSE if coarse else _FINE
         super().__init__(axes, state, watched, self._solved, factor, _TOLERANCE)
 
@@ -214,13 +215,15 @@ class BodyStrain(FiniteStrain):
             ]
             rubber = Rubber(mesh, self._body, self._material)
             modulus = self._material.youngs_modulus_mpa
-            contact = RubberContact(rubber, touches, self._friction, modulus)
+            size = max(size for _, near in self._contacts for _, size in near)
+            contact = RubberContact(rubber, touches, size, self._friction, modulus)
         else:
             contact = like.contact
         if self._rubs:
             linear, finite = self._along(contact, fineness, like)
         else:
             linear, finite = self._at_once(contact, like)
+        moved = contact.rubber.displacement(finite.unknowns)
         wider = []
         for touch, rows, (_, near) in zip(
             contact.touches, contact.rows, self._contacts, strict=True
@@ -229,8 +232,8 @@ class BodyStrain(FiniteStrain):
                 on = touch.rest_mm[one.pressure[rows] > 0.0]
                 away = [np.linalg.norm(on - centre, axis=1) / size for centre, size in near]
                 MixedRubber.check_reach(np.min(away, axis=0), _REACH)
-            spread = touch.spread_mm(finite.pressure[rows])
-            wider.append(spread / touch.spread_mm(linear.pressure[rows]))
+            radius = touch.radius_mm(finite.pressure[rows], moved)
+            wider.append(radius / touch.radius_mm(linear.pressure[rows]))
         locator = Locator(contact.rubber.mesh)
 
         def read(points: Points, field: Floats) -> tuple[Points, Floats]:
@@ -242,7 +245,7 @@ class BodyStrain(FiniteStrain):
         return _Pair(
             read=read,
             linear_mm=linear_mm,
-            change=contact.rubber.displacement(finite.unknowns) - linear_mm,
+            change=moved - linear_mm,
             moved=finite.pose - linear.pose,
             wider=np.array(wider),
             contact=contact,

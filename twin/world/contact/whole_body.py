@@ -11,9 +11,8 @@
 In the linear solution g is measured at the undeformed place along the surface's normal, where the
 force acts, too, as `twin.world.contact.pressing` does. In the other one it is measured at the
 deformed place, along the probe's way, with forces along the probe's normal. The springs k are a
-film of rubber 10 um thick on the probe, in both: stiffer ones make the pressures of
-neighbouring points alternate, and double the error that the mesh leaves. The probes' places are
-unknowns.
+film of rubber on the probe, a hundredth of the contact's radius thick, in both: stiffer ones make
+the pressures of neighbouring points alternate. The probes' places are unknowns.
 
 **Friction.** A point that has touched is held by a spring as stiff to its place on the probe, in
 the plane of the probe's surface, up to the bound of the law of friction; what it slips beyond, its
@@ -58,8 +57,11 @@ from twin.world.mesh.quadratic_mesh import Mesh
 
 _SPRING = 100.0
 _GAP_WEIGHT = 2.0
-"""Pressure per overlap, and what a pressure is weighed against a gap with, over Young's modulus,
-1/mm."""
+"""Pressure per overlap, and what a pressure is weighed against a gap with, times the contact's
+radius over Young's modulus."""
+
+_NEAR_END = 0.05, 0.6
+"""Shares of the force beyond points from which a round contact's end is extrapolated."""
 
 _CHUNK = 256
 """Elements whose slopes are computed at once."""
@@ -415,16 +417,30 @@ class SurfaceTouch:
             carry=carry,
         )
 
-    def spread_mm(self, pressure: Floats) -> float:
-        """Return the root mean square distance of the pressure from its middle, mm."""
-        force = pressure * self.area_mm2
-        middle = force @ self.rest_mm / force.sum()
-        return float(np.sqrt(force @ ((self.rest_mm - middle) ** 2).sum(axis=1) / force.sum()))
+    def radius_mm(self, pressure: Floats, displacement: Floats | None = None) -> float:
+        """Return the radius of the contact, at rest or after a displacement, mm; of a flat face the
+        root mean square distance of the pressure from its middle.
+
+        Under Hertz's pressure the force beyond r is as (a^2 - r^2)^1.5: its power 2/3 is
+        extrapolated over r^2.
+        """
+        place = self.rest_mm if displacement is None else self.rest_mm + self._shift(displacement)
+        force = pressure * self.area_mm2 / (pressure @ self.area_mm2)
+        squared = ((place - force @ place) ** 2).sum(axis=1)
+        if self._approach.is_flat:
+            return float(np.sqrt(force @ squared))
+        order = np.argsort(squared)
+        beyond = 1.0 - np.cumsum(force[order]) + force[order] / 2.0
+        low, high = _NEAR_END
+        near = (beyond > low) & (beyond < high)
+        line = np.polynomial.Polynomial.fit(squared[order][near], beyond[near] ** (2.0 / 3.0), 1)
+        return float(np.sqrt(line.roots()[0].real))
 
 
 class RubberContact:
     """Rubber and the points of its surface that each of the probes (p,) may touch; they have one
-    coefficient of friction, and the rubber's true modulus matters for its law alone."""
+    coefficient of friction, and the rubber's true modulus matters for its law alone. ``size_mm`` is
+    the contact's radius, which the springs depend on."""
 
     @dataclass(frozen=True)
     class State:
@@ -443,10 +459,13 @@ class RubberContact:
         self,
         rubber: Rubber,
         touches: Sequence[SurfaceTouch],
+        size_mm: float,
         friction: float = 0.0,
         youngs_modulus_mpa: float = 1.0,
     ) -> None:
         self.rubber = rubber
+        self._spring = _SPRING / size_mm
+        self._gap_weight = _GAP_WEIGHT / size_mm
         self._friction = friction
         self._modulus_mpa = youngs_modulus_mpa
         self.touches = touches
@@ -682,7 +701,7 @@ class RubberContact:
         """Return the friction on anchored points: that of springs in the plane of the probe's
         surface, up to Coulomb's bound."""
         plane = np.eye(3) - met.normal[:, :, None] * met.normal[:, None, :]
-        stiff = np.where(anchors.on, _SPRING, 0.0)
+        stiff = np.where(anchors.on, self._spring, 0.0)
         held = -stiff[:, None] * np.einsum("qij,qj->qi", plane, met.away)
         resistance = stiff[:, None, None] * plane
         if self._friction >= STICKS_FROM:
@@ -692,7 +711,9 @@ class RubberContact:
         # The law is one of forces in N.
         steep = np.linalg.norm(met.push, axis=1)
         scale = self._modulus_mpa * self._area
-        pressed = np.where(np.isfinite(met.gap), _SPRING * np.maximum(-met.gap, 0.0), 0.0) * steep
+        pressed = (
+            np.where(np.isfinite(met.gap), self._spring * np.maximum(-met.gap, 0.0), 0.0) * steep
+        )
         friction = np.full(len(size), self._friction)
         bound = LAW.bound(friction, scale * pressed, self._area) / scale
         steep = steep * LAW.slope(friction, scale * pressed, self._area)
@@ -705,7 +726,7 @@ class RubberContact:
             along=np.where(slips, np.sqrt(share * stiff), 0.0)[:, None] * way,
             grip=np.where(slips & (met.gap < 0.0), steep, 0.0)[:, None] * way,
             slips=slips,
-            slipped=(share - 1.0)[:, None] * held / _SPRING,
+            slipped=(share - 1.0)[:, None] * held / self._spring,
         )
 
     def _springs(
@@ -719,7 +740,7 @@ class RubberContact:
         moved.reshape(-1)[self._nodal] = here[:count]
         pose = here[count:].reshape(-1, MOTIONS)
         met = self._meet(moved, pose, state, linear=linear)
-        weighed = state.pressure - _GAP_WEIGHT * (met.gap + state.pressure / _SPRING)
+        weighed = state.pressure - self._gap_weight * (met.gap + state.pressure / self._spring)
         active = weighed > 0.0 if state.pressure.any() else state.active
         active = active & np.isfinite(met.gap)
         if not all(active[rows].any() for rows in self.rows):
@@ -735,14 +756,14 @@ class RubberContact:
 
         carried = spread(met.push[on], -met.lift[on])
         slope = spread(met.push[on], met.per_motion[on])
-        block = (_SPRING * area)[:, None, None] * carried[:, :, None] * slope[:, None, :]
+        block = (self._spring * area)[:, None, None] * carried[:, :, None] * slope[:, None, :]
         axes = np.broadcast_to(np.eye(3), (len(on), 3, 3))
         across = np.stack([spread(axes[:, i], -met.carry[on, i]) for i in range(3)], axis=1)
         turning = resistance - pressed[:, None, None] * met.bend[on]
         block += across.swapaxes(1, 2) @ ((area[:, None, None] * turning) @ across)
         gripped = np.einsum("qkr,qk->qr", across, grip)
-        block += (_SPRING * area)[:, None, None] * gripped[:, :, None] * slope[:, None, :]
-        out = (_SPRING * area * met.gap[on])[:, None] * carried
+        block += (self._spring * area)[:, None, None] * gripped[:, :, None] * slope[:, None, :]
+        out = (self._spring * area * met.gap[on])[:, None] * carried
         out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed)
         size = len(here)
         matrix = MixedRubber.gathered(size * row[:, :, None] + row[:, None, :], block, size * size)
@@ -750,9 +771,9 @@ class RubberContact:
         def after(step: Floats) -> RubberContact.State:
             pressure = np.zeros(len(active))
             change = np.einsum("qr,qr->q", slope, step[row])
-            pressure[on] = -_SPRING * (met.gap[on] + change)
+            pressure[on] = -self._spring * (met.gap[on] + change)
             pulled = rubbed - np.einsum("qij,qjr,qr->qi", resistance, across, step[row])
-            pulled -= _SPRING * change[:, None] * grip
+            pulled -= self._spring * change[:, None] * grip
             forces = area[:, None] * (pressure[on, None] * met.lift[on])
             forces += area[:, None] * np.einsum("qi,qim->qm", pulled, met.carry[on])
             total = np.zeros_like(state.pose)
