@@ -54,12 +54,6 @@ def html_table(title: str, rows: Mapping[str, str], picture: str = "") -> str:
     return f"<div><strong>{escape(title)}</strong><table>{cells}</table>{image}</div>"
 
 
-def site_columns(site_mm: Points, force_n: Floats) -> dict[str, np.ndarray]:
-    """Return the columns of a force field by name: (k,) places, mm, and forces, N."""
-    places = {f"{axis}_mm": site_mm[:, number] for number, axis in enumerate("xyz")}
-    return places | {f"f{axis}_n": force_n[:, number] for number, axis in enumerate("xyz")}
-
-
 class Table:
     """A result with `columns` of equal length."""
 
@@ -83,6 +77,12 @@ class Table:
                 ".columns() returns the same table as a dict of arrays"
             ) from None
         return pandas.DataFrame(self.columns())
+
+    @staticmethod
+    def of_sites(site_mm: Points, force_n: Floats) -> dict[str, Any]:
+        """Return the columns of a force field by name: (k,) places, mm, and forces, N."""
+        places = {f"{axis}_mm": site_mm[:, number] for number, axis in enumerate("xyz")}
+        return places | {f"f{axis}_n": force_n[:, number] for number, axis in enumerate("xyz")}
 
 
 def new_axes(count: int, ax: Any = None) -> Any:

@@ -17,7 +17,6 @@ from twin.display import (
     one_line,
     plot_forces,
     plot_shifts,
-    site_columns,
     vector,
 )
 from twin.errors import InputError
@@ -115,7 +114,7 @@ class Estimate(Table):
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return a row for every site: place, mm, and force, N."""
-        return site_columns(self.site_mm, self.force_n)
+        return self.of_sites(self.site_mm, self.force_n)
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the recovered forces on matplotlib axes, and return these."""

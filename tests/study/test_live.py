@@ -20,7 +20,7 @@ import pytest
 
 import twin
 from twin.errors import InputError
-from twin.show.body_view import hand_page
+from twin.show.body_view import BodyView
 from twin.study.live import LARGEST_QUESTION, QUICK, Hand, LivePress, run_live
 
 PUSH = {"x_mm": 1.0, "y_mm": -0.5, "push_n": 2.0, "side_x": 0.2, "side_y": 0.0, "twist": 0.5, "friction": 1.2}
@@ -199,7 +199,7 @@ def test_without_friction_the_probe_is_only_pressed_and_on_a_slope_it_is_held_by
 
 
 def test_the_page_holds_no_markup_of_the_title_and_fetches_nothing(live: LivePress) -> None:
-    text = hand_page({**live.facts(), "title": "</script><b>"})
+    text = BodyView.hand_page({**live.facts(), "title": "</script><b>"})
     assert "<b>" not in text
     assert text.count("</script>") == 2
     assert not re.search(r"https?://|\bsrc\s*=", text)

@@ -50,7 +50,6 @@ from twin.display import (
     new_axes,
     one_line,
     plot_forces,
-    site_columns,
     vector,
 )
 from twin.errors import InputError, require
@@ -139,7 +138,7 @@ class Field(Table):
         """Return a row for every site: place, mm, force, N, and its standard deviation, N."""
         names = [f"sd_f{axis}_n" for axis in "xyz"]
         spread = dict(zip(names, self.sd_force_n.T, strict=True))
-        return site_columns(self.site_mm, self.force_n) | spread
+        return self.of_sites(self.site_mm, self.force_n) | spread
 
     def relaxed(self, history: Hereditary, seconds: float) -> Field:
         """Return the field with the forces of rubber that relaxes.

@@ -1,9 +1,9 @@
 """The deformed body in 3D: as a page that turns in any browser, or in a window.
 
-`BodyView.page` is the page of ``twin view``, `hand_page` that of ``twin run --live``, in which the
-probe is moved by hand. Both draw on a plain canvas, far triangles first, and load nothing from
-elsewhere. `BodyView.show` opens a window; `BodyView.require_window` tests for display and OpenGL in
-a child process, because a broken OpenGL ends the process that calls it.
+`BodyView.page` is the page of ``twin view``, `BodyView.hand_page` that of ``twin run --live``, in
+which the probe is moved by hand. Both draw on a plain canvas, far triangles first, and load nothing
+from elsewhere. `BodyView.show` opens a window; `BodyView.require_window` tests for display and
+OpenGL in a child process, because a broken OpenGL ends the process that calls it.
 """
 
 from __future__ import annotations
@@ -169,6 +169,11 @@ class BodyView:
         )
         plotter.show()
 
+    @staticmethod
+    def hand_page(facts: Mapping[str, Any]) -> str:
+        """Return the live page, with what it must know once (`twin.study.live.LivePress.facts`)."""
+        return _filled("hand_page.html", str(facts["title"]), facts)
+
 
 def _filled(template: str, title: str, data: Mapping[str, Any]) -> str:
     text = Template(Path(__file__).with_name(template).read_text(encoding="utf-8"))
@@ -207,11 +212,6 @@ def _frame(frame: BodyView.Frame) -> dict[str, Any]:
 
 def _packed(array: np.ndarray, kind: str) -> str:
     return base64.b64encode(np.ascontiguousarray(array, kind).tobytes()).decode()
-
-
-def hand_page(facts: Mapping[str, Any]) -> str:
-    """Return the live page, with what it must know once (`twin.study.live.LivePress.facts`)."""
-    return _filled("hand_page.html", str(facts["title"]), facts)
 
 
 STICKS = COLOURS["blue"]

@@ -329,13 +329,13 @@ def _round(value: float) -> float:
 def run_live(scene: Scene, port: int = 0, progress: Progress | None = None) -> None:
     """Serve a scene's live page until Ctrl-C; print its address."""
     from twin.blas_threads import one_thread
-    from twin.show.body_view import hand_page
+    from twin.show.body_view import BodyView
 
     _listening(port).server_close()  # a port that can't be had is refused before the work
     with one_thread():  # the steps' small products lose more than they gain by a second thread
         live = LivePress(scene, progress)
         live.answer(live.start().question())
-        page = live.served(hand_page(live.facts()), port)
+        page = live.served(BodyView.hand_page(live.facts()), port)
         if progress is not None:
             progress("done", 1.0)
         print(f"open {page.address}\nCtrl-C ends it", flush=True)
