@@ -25,7 +25,8 @@ from twin.arrays import Floats, Pixels, Singles
 from twin.blas_threads import one_thread
 from twin.errors import AccuracyWarning
 from twin.parts.load import Rectangles
-from twin.parts.scene import Purpose, Scene
+from twin.parts.part import Purpose
+from twin.parts.scene import Scene
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found, track

@@ -147,7 +147,7 @@ def test_no_tolerance_takes_what_is_positive_below_zero(key: str, monkeypatch: p
     """Half of Young's modulus was allowed as its standard deviation: one made sensor in fifty had a negative one."""
     worst = bounds(Scene.Tolerance.model_fields[key].metadata)[1]
     lowest = SimpleNamespace(standard_normal=lambda size=(): np.full(size, -2 * CUT), random=np.zeros)
-    monkeypatch.setattr("twin.parts.scene.Purpose.stream", lambda *_: lowest)
+    monkeypatch.setattr("twin.parts.part.Purpose.stream", lambda *_: lowest)
     made = Sensor(load_scene("kamiyama_pillar", {f"tolerance.{key}": worst})).actual
     assert min(made.scene.material.youngs_modulus_mpa, made.scene.camera.focal_px) > 0
     assert made.prints is None or min(made.prints.size.min(), made.prints.shade.min()) > 0

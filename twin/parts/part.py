@@ -1,17 +1,19 @@
 """The base class of every description in a recipe.
 
 A `Part` is frozen, and refuses unknown keys and NaN. Every number has a provenance (``source`` or
-``assumed``). `in_words` turns errors of validation into sentences. Ranges that many keys share are
-here too.
+``assumed``). `in_words` turns errors of validation into sentences. Ranges that many keys share and
+the random streams of a recipe's seed are here too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from enum import IntEnum
 from functools import cache
 from inspect import Parameter, Signature
 from typing import Annotated, Any, get_args
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from twin.errors import RecipeError, did_you_mean
@@ -192,6 +194,26 @@ class Part(BaseModel):
             for k in sorted(self.model_fields_set)
             if k not in sourced and _holds_number(getattr(self, k))
         ]
+
+
+class Purpose(IntEnum):
+    """What random numbers are drawn for; the values are part of the file format, never reuse one.
+
+    Every purpose and index has a stream of its own under one root seed: a draw more for one changes
+    no other, and a press draws the same noise whatever was computed before.
+    """
+
+    PRINT = 0
+    TOLERANCE = 1
+    EXPOSURE = 2
+    LOAD_CELL = 3
+    SAMPLING = 4
+    SENSOR_PATTERN = 5
+    SENSOR = 6
+
+    def stream(self, seed: int, index: int = 0) -> np.random.Generator:
+        """Return the generator of this purpose number ``index`` under the root ``seed``."""
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(self), index)))
 
 
 @cache

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from enum import IntEnum
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -76,26 +75,6 @@ class Sites(Part):
     def chart(self) -> Chart:
         """Return the (columns * rows, 2) surface coordinates, mm, s outer and t inner."""
         return grid_points(*self.axes())
-
-
-class Purpose(IntEnum):
-    """What random numbers are drawn for; the values are part of the file format, never reuse one.
-
-    Every purpose and index has a stream of its own under one root seed: a draw more for one changes
-    no other, and a press draws the same noise whatever was computed before.
-    """
-
-    PRINT = 0
-    TOLERANCE = 1
-    EXPOSURE = 2
-    LOAD_CELL = 3
-    SAMPLING = 4
-    SENSOR_PATTERN = 5
-    SENSOR = 6
-
-    def stream(self, seed: int, index: int = 0) -> np.random.Generator:
-        """Return the generator of this purpose number ``index`` under the root ``seed``."""
-        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(self), index)))
 
 
 class Scene(Part):

@@ -27,9 +27,9 @@ from twin.errors import ContactError, InputError, RecipeError
 from twin.files import cache_folder, kept_if_possible, make_folder
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
-from twin.parts.part import identity
+from twin.parts.part import Purpose, identity
 from twin.parts.press import Press, Sphere, Step
-from twin.parts.scene import Purpose, Scene
+from twin.parts.scene import Scene
 from twin.study.recorded import PICTURES, read_numbers, read_picture
 from twin.study.sensor import Sensor
 from twin.theory.contact import hertz

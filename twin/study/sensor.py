@@ -20,8 +20,9 @@ from twin.blas_threads import one_blas_thread
 from twin.errors import AccuracyWarning, ContactError, InputError, RecipeError, require
 from twin.parts.load import Load, Rectangles
 from twin.parts.markers import MarkerSet
+from twin.parts.part import Purpose
 from twin.parts.press import MOST_PATCHES, Press
-from twin.parts.scene import Purpose, Scene
+from twin.parts.scene import Scene
 from twin.parts.vary import CUT
 from twin.theory.optics import project
 from twin.theory.relaxation import Relaxation

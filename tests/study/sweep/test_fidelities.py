@@ -15,7 +15,8 @@ import twin
 import twin.sense.reconstruct as solve
 from twin.arrays import Floats
 from twin.judge.resolution import DIP, dip
-from twin.parts.scene import Purpose, Scene, Sites
+from twin.parts.part import Purpose
+from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import Sweep
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct

@@ -18,9 +18,9 @@ from twin.arrays import Floats
 from twin.errors import InputError, RecipeError, did_you_mean
 from twin.files import file_digest
 from twin.parts.load import Footprint, Load
-from twin.parts.part import Part, in_words
+from twin.parts.part import Part, Purpose, in_words
 from twin.parts.press import Press
-from twin.parts.scene import Purpose, Scene
+from twin.parts.scene import Scene
 from twin.parts.shape import StlFile
 from twin.parts.vary import Choice, Distribution, Follows, ForceCone, Normal, Uniform
 from twin.study.batch.draw import Sampling, SceneTable, Table, with_values

@@ -30,8 +30,8 @@ from twin.errors import ContactError, RecipeError, TwinError
 from twin.files import PINNED, cache_folder, png_bytes
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
-from twin.parts.part import Part
-from twin.parts.scene import Purpose, Scene, Sites
+from twin.parts.part import Part, Purpose
+from twin.parts.scene import Scene, Sites
 from twin.parts.shape import StlFile
 from twin.study.batch.draw import Table, with_values
 from twin.study.batch.pool import Pool

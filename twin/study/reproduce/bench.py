@@ -29,9 +29,9 @@ from twin.arrays import Floats, Picture, Progress
 from twin.judge.score import force_score, into_cells
 from twin.parts.load import Load, Traction
 from twin.parts.methods import CentreMethod, Method
-from twin.parts.part import identity
+from twin.parts.part import Purpose, identity
 from twin.parts.press import Cylinder, Press, Sphere, Step
-from twin.parts.scene import Purpose, Scene
+from twin.parts.scene import Scene
 from twin.parts.sweep import GF
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import Field, reconstruct

@@ -18,8 +18,8 @@ from pydantic import ValidationError
 
 from twin.arrays import Floats
 from twin.errors import InputError, RecipeError, did_you_mean
-from twin.parts.part import Part, in_words, unit_of
-from twin.parts.scene import Purpose, Scene
+from twin.parts.part import Part, Purpose, in_words, unit_of
+from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.study.batch.draw import SceneTable
 from twin.study.recipe import find_scene, load_scene, paths_given, read_recipe, validate_scene

@@ -41,7 +41,8 @@ from twin.judge.score import GROSS_PX
 from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.parts.methods import Method
-from twin.parts.scene import Purpose, Scene, Sites
+from twin.parts.part import Purpose
+from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import GF, Sweep
 from twin.sense.inverse import METHODS, Problem
 from twin.sense.regularisation import RULES, Factors

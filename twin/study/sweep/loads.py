@@ -20,7 +20,8 @@ from twin.errors import RecipeError
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
-from twin.parts.scene import Purpose, Scene
+from twin.parts.part import Purpose
+from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Points, Singles, frozen
 from twin.errors import InputError
 from twin.parts.markers import MarkerLayer, MarkerSet
-from twin.parts.scene import Purpose
+from twin.parts.part import Purpose
 
 _WAVES = 8
 """Plane waves that make a texture."""
