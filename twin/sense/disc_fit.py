@@ -181,9 +181,6 @@ brightness, change by chance (49 of 50, 89 of 90). What exceeds this is stated."
 SHRINKS = 1.5
 """Standard deviations of a radius up to which a marker has become smaller by chance."""
 
-LEAST_LIGHT = 3.0
-"""Standard deviations by which a marker may have more light than it seems to."""
-
 LOST_MOVES = 0.7
 """By which share of its radius a marker's centre moves at least, over the share of its light that
 something straight hides: of a disc's area by .86 to .9, of fits under JPEG by .65 to .9."""
@@ -541,9 +538,8 @@ class DiscFit(SoftWindow):
         axes_sd = np.hypot(KNOWN_OUTLINE, spread[:, :3].max(axis=1))
         away = np.abs(measured[rows, :3] - usual[:, :3]).max(axis=1)
         beyond = np.sqrt(np.fmax(away**2 - (DIFFERS * axes_sd) ** 2, 0.0))
-        if templates.coherent:  # what hides a part also takes its light
-            most = self._light_lost(fitted, fine, LEAST_LIGHT)[rows]
-            fitted[rows, DIFFERENCE] = radius[rows] * np.fmin(beyond, most)
+        if templates.coherent:
+            fitted[rows, DIFFERENCE] = radius[rows] * beyond
         few = doubted[rows] & ((beyond > 0.0) | ~taken[rows]) | cut[rows]
         if not few.any():
             return
@@ -583,20 +579,20 @@ class DiscFit(SoftWindow):
         part[:, [SCALE, FITTING]], part[:, SHORTFALL] = 1.0, 0.0
         part[:, DIFFERENCE] = 0.0
         if templates.coherent:  # a part was left out, but is it the one that is hidden?
-            lost = self._light_lost(fitted, fine, -SHRINKS)[rows] * ~cut[rows]
+            lost = self._light_lost(fitted, fine)[rows] * ~cut[rows]
             lacks = np.fmax(LOST_MOVES * radius[rows] * lost - moved, 0.0)
             part[:, DIFFERENCE] = lacks / np.sqrt(2.0)
         part[:, EDGE] = np.where(part[:, EDGE] < WHOLE_EDGE, LEAST_EDGE, 1.0)
         part[:, RESHAPED] = PART_IN_SIGHT
         fitted[rows[good]] = part[good]
 
-    def _light_lost(self, fitted: Floats, fine: Bools, chance: float) -> Floats:
-        """Return (n,) by which share markers have less light than the ``fine`` ones (n,), plus
-        ``chance`` standard deviations: brightness times area, since rest."""
+    def _light_lost(self, fitted: Floats, fine: Bools) -> Floats:
+        """Return (n,) by which share markers have less light than the ``fine`` ones (n,), beyond
+        chance: brightness times area, since rest."""
         rest = self.templates.rest
         light = fitted[:, LEVEL] * fitted[:, SCALE] ** 2 / (rest[:, LEVEL] * rest[:, SCALE] ** 2)
         low, middle, high = _quantiles(np.where(fine, light, np.nan), 0.25, 0.5, 0.75)
-        return np.asarray(np.fmax(1.0 - (light - chance * NORMAL * (high - low)) / middle, 0.0))
+        return np.asarray(np.fmax(1.0 - (light + SHRINKS * NORMAL * (high - low)) / middle, 0.0))
 
     def _from_last(self, picture: Picture, last_px: Pixels) -> Seen | None:
         """Fit around the last places, then once more where the neighbours' motion predicts; None

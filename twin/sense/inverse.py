@@ -40,15 +40,11 @@ class InverseMethod:
         Whether the penalty has a weight; the pseudo-inverse has none.
     local
         Whether forces are expected only where a first solution has some.
-    model_error
-        Share of a marker's shift by which its weight takes the transfer matrix to be off: how a
-        force is spread within a site is not known, and moves the markers near it.
     """
 
     penalty: Callable[[int, int], Floats]
     weighted: bool = True
     local: bool = False
-    model_error: float = 0.0
 
     def matrix(self, grid: tuple[int, int]) -> Floats:
         """Return the (3k, 3k) matrix Q of the papers' (w/2) F^T Q F."""
@@ -74,7 +70,7 @@ METHODS: dict[Method, InverseMethod] = {
     "smooth": InverseMethod(penalty=_neighbours),
     "norm": InverseMethod(penalty=_forces),
     "pinv": InverseMethod(penalty=_forces, weighted=False),
-    "local": InverseMethod(penalty=_neighbours, local=True, model_error=0.03),
+    "local": InverseMethod(penalty=_neighbours, local=True),
 }
 
 EVEN_NOISE = 2.0
@@ -160,7 +156,7 @@ class Problem:
                 "least 2 are needed: check exposure, layout, channels and compression (colours of "
                 "JPEG and video have half the resolution unless 4:4:4 is asked for)"
             )
-        known, noise, share = _weights(found, calibration, used, METHODS[method])
+        known, noise, share = _weights(found, calibration, used, METHODS[method].weighted)
         base = _base(calibration, METHODS[method], known, noise)
         singular = base.factors.singular / float(noise.mean())
         return cls(
@@ -239,14 +235,13 @@ def _into_frames(matrix: Floats, frames: Floats) -> Floats:
 
 
 def _weights(
-    found: Found, calibration: Calibration, used: Bools, method: InverseMethod
+    found: Found, calibration: Calibration, used: Bools, weighted: bool
 ) -> tuple[Bools, Floats, Floats]:
     """Return (n,) markers to factorise with, (u,) their noise in px, and (u,) the share that each
     has of its weight."""
     own = np.where(np.isfinite(found.sd_px) & (found.sd_px > 0), found.sd_px, calibration.noise_px)
-    own = np.hypot(own, method.model_error * np.nan_to_num(np.hypot(*found.shift_px.T)))
     usual = found.usual_sd_px
-    if usual is not None and method.weighted:
+    if usual is not None and weighted:
         known = np.asarray(calibration.calibrated & np.isfinite(usual))
         if not (used & ~known).any():
             noise = Problem.in_classes(usual[known])
