@@ -1,6 +1,6 @@
 """Makes finger_neohooke.json: what linear theory leaves out of a press on the finger, by NGSolve, by nothing of twin.
 
-    python tests/reference/make_finger_neohooke.py     # needs ngsolve; a quarter of an hour
+    python tests/reference/make_finger_neohooke.py     # needs ngsolve; half an hour
 
 Half of the finger (radius 8, barrel 8, skirt 2 mm; E = 1 MPa, incompressible; held below, y = 0 a plane of symmetry)
 under a rigid sphere of 3 mm that comes along z at the apex with a given force and no friction: once by linear theory,
@@ -25,7 +25,7 @@ RADIUS, BARREL, SKIRT, BALL = 8.0, 8.0, 2.0, 1.5
 PENALTIES, SHEAR = (20.0, 60.0, 200.0, 1000.0), 1.0 / 3.0
 FORCES = (0.980665,)
 ORDER = 2
-FINE_MM = (0.2, 0.28)
+FINE_MM = (0.1, 0.14)
 
 
 def places():

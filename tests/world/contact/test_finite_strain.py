@@ -266,13 +266,13 @@ def test_finger_is_another_codes_and_so_is_the_linearity_that_the_linear_law_mea
     linear, sensor = made("linear", "finger_bare"), made(name="finger_bare")
     straight, state = linear.press(press), sensor.press(press)
     left, missed = off(case, state.load.strained, IN_FINGER)
-    assert left < missed / 4
+    assert left < missed / 10
     body, material = sensor.nominal.body, sensor.nominal.material
     stated = BodyStrain(press, body, material, straight, IN_FINGER).error
-    assert left < stated.markers + case["own_error"] < 2e-2
+    assert left < stated.markers < 2 * left + case["own_error"]
     with pytest.warns(twin.AccuracyWarning, match="press with less force, as large strain is solved on a coarse"):
         assert state.error.markers > sensor.nominal.accuracy.displacement
-    assert state.indentation_mm / straight.indentation_mm - 1.0 == pytest.approx(deeper(case), abs=5e-3)
+    assert state.indentation_mm / straight.indentation_mm - 1.0 == pytest.approx(deeper(case), abs=1e-3)
     assert state.force_n[2] == pytest.approx(case["force_n"], rel=1e-9)
     assert state.move_mm[2] == pytest.approx(state.indentation_mm, rel=1e-9)
     if case is ON_FINGER["cases"][0]:
