@@ -49,6 +49,8 @@ NARROW: dict[tuple[str, str], Strategy] = {
     ("Cover", "thickness_mm"): st.floats(0.05, 0.4),
     ("Cover", "youngs_modulus_mpa"): st.none(),
     ("Cover", "poisson_ratio"): st.none(),
+    ("Cover", "albedo"): st.tuples(*[st.floats(0.0, 0.5)] * 3),  # with what it lets through at most 1
+    ("Cover", "transmittance"): st.floats(0.0, 0.5),
     ("MarkerLayer", "depth_mm"): st.floats(0.6, 3.0),
     ("MarkerLayer", "pitch_mm"): st.floats(0.8, 2.0),
     ("MarkerLayer", "diameter_mm"): st.floats(0.1, 0.7),
@@ -72,6 +74,7 @@ NARROW: dict[tuple[str, str], Strategy] = {
     ("Marks", "count"): st.integers(1, 200),
     ("Marks", "size_mm"): st.floats(0.01, 3.0),
     ("Marks", "length_mm"): st.floats(0.0, 20.0),
+    ("Marks", "depth_mm"): st.floats(0.6, 3.0),
     ("Light", "profile"): st.sampled_from([None, [[0.0, 1.0], [40.0, 0.5], [90.0, 0.0]]]),
     ("Light", "radius_mm"): st.floats(0.0, 3.0),
     ("Ccd", "crosstalk"): st.one_of(st.floats(0.0, 0.3), st.just([[0.9, 0.1, 0.0], [0.1, 0.8, 0.1], [0.0, 0.2, 0.8]])),
@@ -169,6 +172,8 @@ def recipes(draw: Callable[[Strategy], Any]) -> Table:
         table["cover"] = draw(part(Cover, without=("deforms",)))
     if draw(st.booleans()):
         table |= draw(sights(body))
+        if "cover" in table and not table["cover"].get("transmittance"):
+            table["light"].pop("outside", None)  # is hidden
     return table
 
 
@@ -185,7 +190,13 @@ def sights(draw: Callable[[Strategy], Any], body: Table) -> Table:
     light = draw(part(Light, without=("positions_mm",)))
     spot = st.tuples(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0), st.floats(front, front + 60.0))
     light["positions_mm"] = draw(st.lists(spot, min_size=1, max_size=4))
-    table: Table = {"camera": camera, "light": light, "ccd": draw(part(Ccd))}
+    for marks in (camera.get(kind, {}) for kind in ("dust", "scratches", "bubbles")):
+        if marks.get("length_mm"):
+            marks.pop("depth_mm", None)  # scratches lie on the window
+    ccd = draw(part(Ccd))
+    if ccd.get("bits", 8) != 8:
+        ccd["jpeg_quality"] = "off"
+    table: Table = {"camera": camera, "light": light, "ccd": ccd}
     if draw(st.booleans()):
         table["reconstruction"] = draw(part(Scene.Reconstruction))
     return table

@@ -181,7 +181,7 @@ def assert_sound(scene: Scene, result: RunResult, tally: Tally) -> None:
         assert not np.isinf(result.estimate.marker_shift_px).any(), "a shift is infinite"
         assert np.isfinite(result.estimate.force_n).all(), "an estimated force is not finite"
     for picture in (result.rest, result.pressed):
-        assert picture is None or picture.dtype == np.uint8
+        assert picture is None or picture.dtype == (np.uint8 if scene.ccd.bits == 8 else np.uint16)
     if scene.camera is not None:
         _assert_projected(scene, result, tally)
 
