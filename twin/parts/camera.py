@@ -174,6 +174,12 @@ class Camera(Part):
         """The marks in the rubber."""
         return [each for each in self._marks if each.depth_mm is not None]
 
+    def without_marks_in_rubber(self) -> Camera:
+        """Return the camera with the marks on the window alone."""
+        kinds = ("dust", "scratches", "bubbles")
+        none = {kind: None for kind in kinds if getattr(self, kind) in self.in_rubber}
+        return self.model_copy(update=none)
+
     @property
     def _marks(self) -> list[Marks]:
         return [each for each in (self.dust, self.scratches, self.bubbles) if each is not None]

@@ -349,9 +349,10 @@ class Sensor:
         self, load: Load, compliance: Compliance | CoveredCompliance, rectangles: Rectangles
     ) -> CoverMotion | None:
         """Return the motion of what pictures show besides markers."""
-        camera, cover = self.nominal.camera, self.nominal.cover
-        deforms = cover is not None and cover.deforms
-        if camera is None or not (deforms or camera.in_rubber or load.probes):
+        from twin.world.picture.cover import Background
+
+        scene = self.nominal
+        if scene.camera is None or not (Background.moves(scene) or load.probes):
             return None
 
         def moved(points: Points) -> tuple[Points, Floats]:

@@ -594,8 +594,11 @@ def test_a_probe_is_as_bright_as_a_cover_in_its_place_and_a_gap_takes_light_twic
         Cover(albedo=(0.3, 0.1, 0.1), transmittance=0.8)
 
 
-def test_paths_see_the_same_probe_and_specks():
+@pytest.mark.parametrize("ambient", [0.0, 0.3])
+def test_paths_see_the_same_probe_and_specks(ambient):
+    """Once, too, where a share of the light is even and drawn apart: they were laid over both shares."""
     scene, _ = specked(albedo=0.5)
+    scene = changed(scene, light={"ambient": ambient})
     path = changed(scene, accuracy={"paths": 1}).model_copy(update={"renderer": "path"})
     ours = Renderer(scene, rest_of(scene), SPLAT), beads([(2.0, 1.5, 6)])
     theirs = Renderer(path, rest_of(scene), mitsuba()), ours[1]

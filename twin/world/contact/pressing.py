@@ -357,8 +357,8 @@ class PathMemory:
         self._in_time = in_time
         self.states = states
         self.strained = [pair for pair in self.strained if any(pair[0] is one for one in states)]
-        for one in self.tried[-1:]:
-            one.path = list(states)
+        if self.tried:
+            self.tried[-1].path = list(states)
 
 
 def _frictional_path(

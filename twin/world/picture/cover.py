@@ -100,12 +100,20 @@ class Background:
         if scene.cover is not None:
             depth = scene.cover.thickness_mm
             points, normals = _places_at(origins, directions, scene.body, depth)
+        self.deforms = scene.cover is not None and scene.cover.deforms
+        """Whether pictures show how a press moves the cover."""
         self._met = np.isfinite(points[:, 0])
         self._along = directions[self._met]
         self.normals: Floats = normals[self._met]
         """(m, 3) inward normals there."""
         self.points: Points = points[self._met]
         """(m, 3) places on the cover's inner side at rest, mm."""
+
+    @staticmethod
+    def moves(scene: Scene) -> bool:
+        """Return whether pictures show the motion of a cover, or of specks in the rubber."""
+        deforms = scene.cover is not None and scene.cover.deforms
+        return deforms or bool(scene.imaging[0].in_rubber)
 
     @cached_property
     def _specks(self) -> list[tuple[Camera.Marks, Points]]:
@@ -124,11 +132,8 @@ class Background:
     @cached_property
     def moving(self) -> Points:
         """(m, 3) places whose motion pictures show, mm: of a cover that deforms, and of specks."""
-        cover = self._scene.cover
-        still = cover is None or not cover.deforms
-        return np.concatenate(
-            [self.points[:0] if still else self.points, *(places for _, places in self._specks)]
-        )
+        cover = self.points if self.deforms else self.points[:0]
+        return np.concatenate([cover, *(places for _, places in self._specks)])
 
     def specks(self, motion: CoverMotion | None) -> list[tuple[Camera.Marks, Ellipsoids]]:
         """Return marks in the rubber and their shapes after a motion; None: at rest."""

@@ -206,9 +206,7 @@ class Renderer:
     def background(self) -> Background | None:
         """The places of the cover, and of specks in the rubber, whose motion `radiance` takes; None
         where none moves."""
-        cover = self.scene.cover
-        moves = self.scene.imaging[0].in_rubber or (cover is not None and cover.deforms)
-        return Background(self.scene, self._top) if moves else None
+        return Background(self.scene, self._top) if Background.moves(self.scene) else None
 
     def scenery(
         self, moved: Callable[[Points], tuple[Points, Floats]], probes: tuple[Load.Placed, ...]
@@ -257,8 +255,7 @@ class Renderer:
         """Return the picture: (m, 3) light of markers, and their highlights, over what they leave
         free of the cover, and specks over both."""
         light = self._view.cover.copy()
-        if cover is not None and self.scene.cover is not None and self.scene.cover.deforms:
-            assert self.background is not None
+        if cover is not None and self.background is not None and self.background.deforms:
             light *= self.background.change(cover)
         if (behind := self._view.behind(() if cover is None else cover.probes)) is not None:
             light += behind
@@ -371,9 +368,12 @@ class _PathRenderer(Renderer):
 
     @cached_property
     def _evenly_lit(self) -> Renderer:
-        """The same camera and exposure where all light comes from all around."""
-        light = self.scene.imaging[1].model_copy(update={"ambient": 1.0})
-        return self._like(Variant.choose("splat"), light=light, renderer="splat")
+        """The same camera and exposure where all light comes from all around, without what
+        `radiance` lays over both shares of light."""
+        camera, light = self.scene.imaging
+        light = light.model_copy(update={"ambient": 1.0, "outside": (0.0, 0.0, 0.0)})
+        camera = camera.without_marks_in_rubber()
+        return self._like(Variant.choose("splat"), camera=camera, light=light, renderer="splat")
 
     def seen(
         self, markers: Ellipsoids, cover: CoverMotion | None = None

@@ -158,7 +158,7 @@ def surfaces(
         assert scene.cover is not None
         places = background.points
         normals = background.normals
-        if cover is not None and scene.cover.deforms:
+        if cover is not None and background.deforms:
             places = places + cover.displacement_mm[: len(places)]
             normals = cover.turned(normals)
         found["cover"] = Triangles(
