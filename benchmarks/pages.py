@@ -452,11 +452,11 @@ def _calibrations() -> dict[str, str]:
 
 
 def law_error(row: Row) -> float:
-    """Return the error that the law of linearity gives for a row of the study."""
+    """Return the error that the law of linearity gives for a row of the study, whose rubber is thick."""
     from twin.theory.contact import law_of
 
     flat = row["contact_over_probe_radius"] is None
-    return law_of("cylinder" if flat else "sphere", sheared=row["shear_n"] > 0).error(row["mean_strain"])
+    return law_of("cylinder" if flat else "sphere", 0.0, sheared=row["shear_n"] > 0).error(row["mean_strain"])
 
 
 def _validity() -> dict[str, str]:

@@ -7,11 +7,13 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+import twin
 from benchmarks.contact_theory import punch_stiffness
 from benchmarks.pages import law_error, stored
 from twin.errors import InputError
 from twin.parts.material import plane_strain_modulus
 from twin.theory.contact import KNOWN_RADIUS, hertz, largest_strain_and_turn, law_of, punch_pressure
+from twin.world.contact.finite_strain import measured_linearity
 
 PROBES = ("sphere", "cylinder", "pillar")
 
@@ -44,7 +46,7 @@ def test_a_press_costs_less_than_a_bar_that_is_strained_all_over():
 
     assert error(1e-3) / 1e-3 == pytest.approx(1.0, abs=0.01)  # the law's form, with the factor 1
     for probe in PROBES:
-        assert all(0 < law_of(probe, sheared=sheared).factor < 1 for sheared in (True, False))
+        assert all(0 < law_of(probe, 0.0, sheared=sheared).factor < 1 for sheared in (True, False))
 
 
 def test_law_is_on_the_safe_side_of_every_press_of_the_study_and_not_far():
@@ -54,7 +56,21 @@ def test_law_is_on_the_safe_side_of_every_press_of_the_study_and_not_far():
         assert row["error_max"] <= law_error(row), (row["case"], row["level"])
     for flat, sheared in ((True, False), (True, True), (False, False), (False, True)):
         same = [r for r in rows if (r["contact_over_probe_radius"] is None, r["shear_n"] > 0) == (flat, sheared)]
-        assert max(r["error_max"] / law_error(r) for r in same) > 0.8, "the factor is larger than the study says"
+        # Presses on thin layers set the spheres' factor, below.
+        assert max(r["error_max"] / law_error(r) for r in same) > (0.8 if flat else 0.6)
+
+
+@pytest.mark.parametrize(("thick_mm", "diameter_mm", "force_n"), [(4, 6, 1.5), (2, 6, 1.0), (2, 12, 4.0)])
+def test_on_thin_rubber_the_law_is_on_the_safe_side_of_a_measurement_and_not_far(thick_mm, diameter_mm, force_n):
+    """A factor for thick rubber says 1 to 3 % where linear theory is 3 to 10 % off."""
+    sensor = twin.Sensor(twin.load_scene("block_bare", {"body.thickness_mm": thick_mm}))
+    press = twin.Press(probe=twin.Sphere(diameter_mm=diameter_mm), force_n=(0, 0, 0.5 * force_n))  # E = 0.5 MPa
+    state = sensor.press(press)
+    along = np.linspace(0.0, 2.0 * state.contact_radius_mm, 12)
+    places = np.column_stack([along, 0.0 * along, np.full(12, 0.25 * thick_mm)])
+    rubber = sensor.nominal.material
+    found = measured_linearity(press, sensor.nominal.body, rubber, state, places).linearisation_error
+    assert found < state.validity.linearisation_error < 1.5 * found
 
 
 def test_contacts_and_strains_are_called_known_up_to_the_largest_of_the_study():
@@ -68,7 +84,7 @@ def test_contacts_and_strains_are_called_known_up_to_the_largest_of_the_study():
     }  # fmt: skip
     for (probe, sheared), mine in studied.items():
         largest = max(row["mean_strain"] for row in mine)
-        assert law_of(probe, sheared=sheared).known_strain == pytest.approx(largest, rel=0.05)
+        assert law_of(probe, 0.0, sheared=sheared).known_strain == pytest.approx(largest, rel=0.05)
 
 
 # --- the closed forms of contact agree with one another -------------------------------------------

@@ -7,10 +7,11 @@ Johnson's E* is the plane-strain modulus E / (1 - nu^2). Lengths are in mm, forc
 pressures in MPa.
 
 Linear theory drops products of two gradients, so its relative error goes with the strain: the mean
-contact pressure over Young's modulus, times the largest factors that neo-Hookean rubber showed in
-``benchmarks/validity.py`` under the papers' presses (docs/validity.md), up to five times what was
-found under a sphere. `Material.law` replaces it by what is found under the press itself. Validity:
-the presses, the markers and the rubber of that study.
+contact pressure over Young's modulus, times a factor that grows with the contact's radius over the
+rubber's thickness. Factors are the largest that neo-Hookean rubber showed in
+``benchmarks/validity.py`` under the papers' presses, and under spheres on layers of 1.5 to 40 mm
+(docs/validity.md). `Material.law` replaces it by what is found under the press itself. Validity:
+these presses, markers and rubber.
 """
 
 from __future__ import annotations
@@ -152,12 +153,13 @@ SHEARED = 0.05
 little."""
 
 
-def law_of(probe: str, *, sheared: bool) -> _Law:
+def law_of(probe: str, wide: float, *, sheared: bool) -> _Law:
     """Return the law of a probe (``sphere``, ``cylinder`` or ``pillar``), sheared by friction or
-    not."""
+    not, whose contact's radius is ``wide`` times the rubber's thickness."""
+    thin = 0.47 * wide
     if probe != "sphere":
-        return _Law(factor=0.45, known_strain=0.16)
-    return _Law(factor=0.1, known_strain=0.4 if sheared else 0.55)
+        return _Law(factor=min(max(0.45, thin), 0.52), known_strain=0.16)
+    return _Law(factor=min(max(0.13, thin), 0.46), known_strain=0.4 if sheared else 0.55)
 
 
 ERROR_BOUND = 0.01

@@ -516,9 +516,10 @@ def _validity(
     modulus = setup.youngs_modulus_mpa
     ratio = 2.0 * radius / probe.diameter_mm if isinstance(probe, Sphere) else None
     low, high = setup.body.bounds_mm
-    thin = depth / (high[2] - low[2])
+    thickness = high[2] - low[2]
+    thin = depth / thickness
     strain = pressure / modulus
-    law = law_of(probe.kind, sheared=sheared)
+    law = law_of(probe.kind, radius / thickness, sheared=sheared)
     error = law.error(strain)
     notes: list[str] = []
     warnings: list[str] = []
