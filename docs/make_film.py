@@ -19,9 +19,9 @@ import twin
 from twin.display import plot_shifts
 
 SCENE = "kamiyama_pillar"
-FORCES_N = (0.0, 0.75, 1.5, 2.25, 3.0)
+FORCES_N = (0.75, 1.5, 2.25, 3.0)
 PLACES_MM = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0)
-FRAME_MS, LAST_MS = 250, 900
+FRAME_MS = 250
 LARGEST_N = 0.5
 """Force along z at the end of the colours."""
 
@@ -38,7 +38,10 @@ def make_film(path: Path) -> None:
     scene = twin.load_scene(SCENE)
     assert scene.press is not None
     environment = twin.Environment(scene)
-    steps = [(PLACES_MM[0], force) for force in FORCES_N] + [(x, FORCES_N[-1]) for x in PLACES_MM[1:]]
+    # The first frame shows a full press: it is what stands where nothing moves.
+    steps = [(x, FORCES_N[-1]) for x in PLACES_MM]
+    steps += [(PLACES_MM[-1], force) for force in (FORCES_N[1], 0.0)]
+    steps += [(PLACES_MM[0], force) for force in FORCES_N[:-1]]
     frames = []
     for x, force in steps:
         press = None
@@ -46,8 +49,7 @@ def make_film(path: Path) -> None:
             press = twin.Press(probe=scene.press.probe, at_mm=(x, 0.0), force_n=(0.0, 0.0, force))
         frames.append(_frame(environment, environment.step(press), force))
     frames = [frame.quantize(128, dither=Image.Dither.NONE) for frame in frames]
-    times = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=times, loop=0, optimize=True)
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, optimize=True)
 
 
 def _frame(environment: twin.Environment, seen: twin.Observation, force_n: float) -> Image.Image:

@@ -113,7 +113,7 @@ def test_a_width_is_quoted_or_the_site_shows_it_as_text() -> None:
 
 
 OWN_SENSOR = (Path(__file__).parents[2] / "docs" / "own_sensor.md").read_text()
-COMMANDS = [line for block in re.findall(r"^```sh\n(.*?)^```$", OWN_SENSOR, re.M | re.S) for line in block.splitlines()]
+COMMANDS = "".join(re.findall(r"^```sh\n(.*?)^```$", OWN_SENSOR, re.M | re.S)).replace("\\\n", "").splitlines()
 
 
 def test_the_commands_of_the_page_run(tmp_path, monkeypatch, says):

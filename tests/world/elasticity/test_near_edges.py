@@ -1,7 +1,7 @@
 """Near edges, in thin blocks and by a held back; where two meshes err alike, estimates are not below the error.
 
 The displacements in `near_edges.json` are of meshes refined around the load:
-`twin.world.mesh.cover_mesh.refined` of the ``coarse`` mesh, its edges as long as the distance to
+`twin.world.mesh.bisection.refined` of the ``coarse`` mesh, its edges as long as the distance to
 the nearest of the load's rectangles, but not below 0.2 mm (10 000 to 20 000 nodes), with elements
 drawn to the rim. With edges 0.6 times as long, not below 0.12 mm, they differ by 2e-4 and 8e-4 on
 the two small blocks. On the finger they are of its ``standard`` mesh, refined to 0.17 mm (29 000
