@@ -172,6 +172,7 @@ class Estimates:
         self._watched = watched
         self._points = np.zeros((0, 3)) if watched is None else watched.points
         self._known: dict[int, list[_Border]] = {}
+        self._motions: dict[int, Floats] = {}  # of the probes, by step, as the body errs
 
     def of(self, state: ContactState, step: int) -> PressError:
         """Return the error of the state at the end of a step."""
@@ -419,10 +420,13 @@ class Estimates:
         placed = np.zeros((len(errors), response.motions))
         last = self._forced(step)
         if last is not None and last < step and self._states[last].load.terms:
-            then = [motions.ravel() for _, motions in self._responded(self._states[last], last)[1]]
-            if np.shape(then) == placed.shape:
-                placed = np.array(then)
-        return response, response.to(errors, placed), moved, errors
+            if last not in self._motions:
+                self._responded(self._states[last], last)
+            if np.shape(self._motions[last]) == placed.shape:
+                placed = self._motions[last]
+        found = response.to(errors, placed)
+        self._motions[step] = np.array([motions.ravel() for _, motions in found])
+        return response, found, moved, errors
 
     def _body(self, state: ContactState, step: int) -> Share:
         """Return the error of the body's mesh or table."""
