@@ -75,6 +75,14 @@ def test_patches_that_stick_as_a_whole_leave_an_error_sideways(across):
     assert off < state.error.patches.force < 5.0 * off
 
 
+def test_a_grid_that_was_fitted_before_unloading_fits_less_well():
+    """Against Hertz, whom incompressible rubber follows with friction too; E = 1 MPa."""
+    state = pressed(ball(5, friction=0.6, steps=(down(0.2), down(-0.13))), across=12)
+    hertz = 4.0 / 3.0 / 0.75 * math.sqrt(2.5 * 0.07**3)
+    off = abs(state.force_n[2] / hertz - 1.0)
+    assert off < state.error.force < 3.0 * off
+
+
 def on_block(across, size_mm, modulus, nu, **press):
     """Press on a block, with so many patches across."""
     sides = dict(zip(("width_mm", "length_mm", "thickness_mm"), size_mm, strict=True))

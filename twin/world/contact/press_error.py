@@ -76,6 +76,12 @@ with its cube. Measured at 8 to 16 across against 26 to 30, radius over thicknes
 2.5: `_CUT` would be 0.53, 0.9 and 0.8, of one that sticks 1.2 at most; 0.09 to 0.6 at 0.2 to
 0.4, by chance."""
 
+_UNLOADED, _UNFITTED = 0.9, 0.75
+"""Patches across a contact over those of its grid, below which it counts as unloaded; and how many
+times as many have its error where the grid was fitted to it. Measured under a sphere and a cone
+unloaded to 0.15 to 0.6 of their depth, at 8 to 14 across against 32: `_CUT` would be 0.5 at most
+there, and 0.45 from 16 patches on."""
+
 _CUT_STUCK = 0.25
 """Least error of the force sideways where patches stick up to the border of a smooth contact, times
 the patches across. Measured against Mindlin's: 0.0 to 0.35, 0.3 of it where areas tell nothing."""
@@ -325,7 +331,8 @@ class Estimates:
         if smooth:
             height = self._job.setups[0].body.base_z_mm
             wide = max(one.contact_radius_mm for one in (state, *state.also)) / height
-            error = _CUT * (1.0 + _CUT_THIN * min(1.0, wide) ** 3) / across**2
+            fewest = min(map(self._across, self._job.setups, (state, *state.also)))
+            error = _CUT * (1.0 + _CUT_THIN * min(1.0, wide) ** 3) / fewest**2
         for setup in self._job.setups:
             if setup.has_inclined_face:
                 incline = math.acos(min(1.0, float(setup.first.tilt[2, 2])))
@@ -347,6 +354,16 @@ class Estimates:
             self._stuck_border(number, border, step) for number, border in enumerate(borders)
         )
         return changed.plus(cut).at_least(least).plus(Share(force=sideways, markers=sideways))
+
+    def _across(self, setup: ProbeSetup, state: ContactState) -> float:
+        """Return the patches across a contact. With friction one grid serves the whole path: under
+        a smooth probe that has been unloaded they are fewer, and fit the border less well."""
+        across = setup.across
+        smooth = isinstance(setup.probe, Sphere | Cone)
+        fewer = math.sqrt(4.0 * len(state.pressure_mpa) / math.pi)
+        if not (self._job.friction.any() and smooth and 0.0 < fewer < _UNLOADED * across):
+            return across
+        return _UNFITTED * fewer
 
     def _forced(self, step: int) -> int | None:
         """Return the last step up to this one whose depth a force gave."""
@@ -388,7 +405,7 @@ class Estimates:
         # What is held by force sideways is as it should be; what is held by motion is too large.
         sideways = np.where(held[:Z], 0.0, setup.first.axes[:Z] @ state.force_n)
         excess = _WHOLE * abs(counted / state.area_mm2 - 1.0)
-        least = _CUT_STUCK / self._job.setups[0].across
+        least = _CUT_STUCK / self._across(setup, state)
         if setup.is_free_form:  # its area is counted: patches stick as far as its edges are smooth
             least = _CUT_STUCK * border.patch_share / 2.0 * (1.0 - border.ends_sharply)
         return stuck * max(excess, least) * _over(sideways, state.force_n)
