@@ -36,7 +36,10 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["run", "kamiyama_pillar", "-s", "press.force_n=3"], "press.force_n = 3 N: must name its components"),
         (["run", "kamiyama_pillar", "-s", "accuracy.displacement=0"], "(allowed: 1e-05 to 0.2 or 'auto')"),
         (["run", "sweep_lens"], "sweep_lens.toml: is a sweep over many designs"),
-        (["export", "sato_press", "--format", "mitsuba", "--out", "x"], "sato_press: camera.lens = equidistant: stock"),
+        (
+            ["export", "sato_press", "--format", "mitsuba", "--out", "x", "-s", "light.exponent=2"],
+            "light.exponent = 2: stock",
+        ),
         (["export", "data", "--format", "coco", "--out", "x", "-s", "seed=2"], "-s: belongs to a scene"),
         (["run", "FOLDER"], "is a folder"),
         (["view", "FOLDER"], "holds neither scene.toml"),

@@ -189,6 +189,15 @@ class Camera(Part):
         """(column, row) of the optical axis."""
         return self.principal_px or ((self.width_px - 1) / 2, (self.height_px - 1) / 2)
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether the lens is a pinhole or a thin one, its picture about its axis, without
+        distortion or vignetting."""
+        middle = ((self.width_px - 1) / 2, (self.height_px - 1) / 2)
+        off = float(np.abs(np.subtract(self.centre_px, middle)).max())
+        bent = self.lens != "pinhole" or any(self.distortion) or self.aspect != 1
+        return not bent and self.vignetting == 0 and (self.aperture_mm == 0 or off < 1e-9)
+
     def deviating(
         self,
         front_mm: float,

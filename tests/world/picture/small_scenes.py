@@ -7,8 +7,10 @@ import pytest
 from standard_bodies import REFERENCE
 
 from twin.parts.markers import MarkerSet
+from twin.parts.press import Cylinder
 from twin.parts.scene import Scene
 from twin.theory.optics import project
+from twin.world.contact.probe_gap import Approach, PlacedProbe
 from twin.world.picture.backend import Variant
 from twin.world.picture.ellipsoids import Ellipsoids
 
@@ -68,3 +70,9 @@ def measured(picture, places, channels=0, half=9):
         centroids.append([part.sum(axis=0) @ steps, part.sum(axis=1) @ steps] / part.sum() + (column, row))
         light.append(part.sum())
     return np.array(centroids), np.array(light)
+
+
+def faced(z_mm, diameter_mm=2.0, albedo=(0.4, 0.2, 0.1)):
+    """Return a cylinder whose face is at a height in the body, or before it (z < 0)."""
+    first = Approach(probe=Cylinder(diameter_mm=diameter_mm), axis_mm=np.zeros(3), touch_mm=np.zeros(3), axes=np.eye(3))
+    return PlacedProbe(first=first, pose=np.array([0.1, 0.05, z_mm, 0, 0, 0]), albedo=albedo)

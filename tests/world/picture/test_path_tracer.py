@@ -1,17 +1,23 @@
 """Pictures by Mitsuba's path integrator, which has light that others leave out, and scenes for stock Mitsuba."""
 
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose
-from small_scenes import SPLAT, beads, block, changed, finger, measured, mitsuba, rest_of, seen_at
+from scipy.ndimage import map_coordinates
+from small_scenes import SPLAT, beads, block, changed, faced, finger, measured, mitsuba, rest_of, seen_at
 
 from twin.errors import MissingCapability, RecipeError
+from twin.parts.camera import Camera
+from twin.parts.material import Cover
 from twin.study.export_scene import export_scene
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
+from twin.theory.lens import lens as lens_of
+from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.lamps import Lamps
 from twin.world.picture.render import Renderer
 from twin.world.picture.stock_scene import check_stock, write_stock_scene
@@ -101,31 +107,106 @@ WIDE = {"positions_mm": CORNERS, "radius_mm": 40.0, "ambient": 0.0}
 """Discs so wide that chance finds them."""
 
 
-@pytest.mark.slow
-def test_stock_mitsuba_renders_what_is_written_as_we_do(tmp_path):
-    """Places, exposure and a turned camera; light between markers, a few per cent, is in theirs only."""
-    scene = changed(block(), light=WIDE, camera={"principal_px": (61.5, 43.0), "tilt_deg": (0.05, -0.08, 2.0)})
-    scene = scene.model_copy(update={"cover": None})
-    markers = rest_of(scene)
-    moved = replace(markers, centres=markers.centres + np.array([0.1, -0.05, 0.2]))
-    places = seen_at(moved.centres, scene)
-    inside = ((places > 10) & (places < (109, 79))).all(axis=1)
-    renderer = Renderer(scene, markers, SPLAT, subpixels=4)
+OPENCV = {"distortion": (-0.3, 0.1, 0.003, -0.002), "aspect": 1.1, "vignetting": 4.0, "principal_px": (14.0, 17.0)}
+
+
+def small(**camera):
+    """Return a small picture of the block under wide LEDs."""
+    return changed(block(), light=WIDE, camera={"width_px": 32, "height_px": 32, **camera}, accuracy={"paths": 16384})
+
+
+def by_points(scene):
+    """Return a scene with sixteen points for each LED's disc, instead of seven."""
+    turn = np.pi * (3 - np.sqrt(5)) * np.arange(16)
+    away = scene.light.radius_mm * np.sqrt((np.arange(16) + 0.5) / 16)
+    points = [
+        (x + a, y + b, z)
+        for x, y, z in scene.light.positions_mm
+        for a, b in zip(away * np.cos(turn), away * np.sin(turn), strict=True)
+    ]
+    return changed(scene, light={"positions_mm": points, "radius_mm": 0.0, "colours": ((1 / 16,) * 3,) * len(points)})
+
+
+def stock_picture(tmp_path, scene, markers, exposure, paths, cover=None):
+    """Return what stock Mitsuba makes of the files, seen through the lens that is written beside them."""
     mitsuba()
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
-    written = mi.load_file(str(write_stock_scene(tmp_path, "pressed", scene, renderer.exposure, moved)))
-    theirs = np.mean([mi.render(written, spp=132, seed=n) for n in range(4)], axis=0)
-    ours, seen = renderer.radiance(moved), (places[inside], moved.colour[inside].argmax(axis=1))
-    centroid, light = measured(theirs, *seen)
-    expected, bright = measured(ours, *seen)
-    assert len(centroid) > 8
-    assert_allclose(centroid, expected, atol=0.1)
-    assert_allclose(centroid, places[inside], atol=0.4)  # a marker is brighter on the side of an LED
-    red = moved.colour[inside][:, 0] > 0.5
-    assert_allclose(light[red], bright[red], rtol=0.03)
-    assert_allclose(light, bright, rtol=0.12)  # the red ones shadow the blue: seven points stand for a disc
+    written = mi.load_file(str(write_stock_scene(tmp_path, "seen", scene, exposure, markers, cover)))
+    picture = np.mean([mi.render(written, spp=1024, seed=n) for n in range(paths // 1024)], axis=0)
+    if not (tmp_path / "lens.npz").exists():
+        return picture
+    lens = np.load(tmp_path / "lens.npz")
+    at = lens["rows"], lens["columns"]
+    fine = np.stack([map_coordinates(picture[:, :, c], at, order=1) for c in range(3)], axis=2)
+    return fine.reshape(scene.camera.height_px, 2, -1, 2, 3).mean(axis=(1, 3)) * lens["light"][:, :, None]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("camera", "paths", "off_px"),
+    [
+        ({"principal_px": (17.0, 14.5), "tilt_deg": (0.02, -0.03, 2.0)}, 32768, 0.01),
+        (OPENCV, 8192, 0.01),  # of four pixels each
+        ({"lens": "equidistant"}, 8192, 0.01),
+    ],
+)
+def test_stock_mitsuba_renders_what_is_written_as_path_does(tmp_path, camera, paths, off_px):
+    """Places, exposure, light between markers and the lens; bounds are the noise of stock Mitsuba's picture."""
+    scene, markers = small(**camera), beads([(0, 0, 3)], 0.35)
+    traced = Renderer(by_points(scene).model_copy(update={"renderer": "path"}), markers, mitsuba())
+    ours, places = traced.radiance(markers), seen_at(markers.centres, scene)
+    theirs = stock_picture(tmp_path, scene, markers, traced.exposure, paths)
+    assert_allclose(theirs.mean(axis=(0, 1)), ours.mean(axis=(0, 1)), rtol=0.01)
+    expected, bright = measured(ours, places, half=12)
+    centroid, light = measured(theirs, places, half=12)
+    assert_allclose(centroid, expected, atol=off_px)
+    assert_allclose(light, bright, rtol=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("z_mm", [0.5, -1.0])
+def test_stock_mitsuba_sees_a_probe_behind_clear_rubber_as_we_do(tmp_path, z_mm):
+    """A face in touch, and one behind a gap: brighter by the index squared."""
+    scene = small().model_copy(update={"cover": None})
+    cover = CoverMotion(displacement_mm=np.zeros((0, 3)), gradient=np.zeros((0, 3, 3)), probes=(faced(z_mm, 1.0),))
+    markers = beads([(0, 0, np.nan)])
+    renderer = Renderer(scene, beads([(0, 0, 6)]), SPLAT)
+    theirs = stock_picture(tmp_path, scene, markers, renderer.exposure, 4096, cover)
+    ours = renderer.radiance(markers, cover)
+    face = np.s_[11:19, 13:22]
+    assert_allclose(theirs[face].mean(axis=(0, 1)), ours[face].mean(axis=(0, 1)), rtol=0.02)
+    assert theirs[:, :, 0].sum() == pytest.approx(ours[:, :, 0].sum(), rel=0.03)
+
+
+def test_marks_and_probes_are_written_where_they_stand(tmp_path):
+    bubbles = Camera.Marks(count=300, size_mm=0.4, hollow=0.7, albedo=0.3, depth_mm=2.0)
+    scratches = Camera.Marks(count=7, size_mm=0.2, length_mm=3.0, albedo=0.2)
+    scene = changed(block(), camera={"bubbles": bubbles, "scratches": scratches}, light=WIDE)
+    scene = scene.model_copy(update={"cover": Cover(transmittance=0.4, albedo=(0.3, 0.3, 0.3))})
+    places = Background(scene, 1.0).moving
+    still = CoverMotion(
+        displacement_mm=np.zeros_like(places), gradient=np.zeros((len(places), 3, 3)), probes=(faced(0.5),)
+    )
+    down = scene.window_middle_mm
+    write_stock_scene(tmp_path, "seen", scene, 1.0, rest_of(scene), still)
+    parts = {
+        name: trimesh.load(tmp_path / f"seen_{name}.ply", process=False)
+        for name in ("specks0", "marks0", "probe0", "surface")
+    }
+    assert_allclose(parts["specks0"].bounds[:, 2] + down, 2 + 0.2 * np.sqrt(1 - 0.7**2) * np.array([-1, 1]), atol=0.012)
+    # A ring covers the square of 0.7 less than a disc; seen from above it is there twice.
+    across = np.abs(parts["specks0"].face_normals[:, 2]) @ parts["specks0"].area_faces
+    assert across == pytest.approx(300 * 2 * np.pi * 0.2**2 * (1 - 0.7**2), rel=0.06)
+    assert parts["marks0"].area == pytest.approx(7 * (3.0 * 0.2 + np.pi * 0.1**2), rel=0.01)
+    assert_allclose(parts["marks0"].bounds[:, 2] + down, 50.001, atol=1e-4)
+    assert parts["surface"].bounds[1, 2] + down == pytest.approx(0.0, abs=1e-4)
+    # The face stands where it is, under a cover that lies on it.
+    face = parts["probe0"].vertices[parts["probe0"].vertex_normals[:, 2] > 0.99]
+    assert_allclose(face[:, 2] + down, 0.5 + 0.2 + 0.05, atol=1e-3)
+    assert_allclose((face.max(axis=0) - face.min(axis=0))[:2], 2.0, rtol=0.01)
+    assert "mask" in (tmp_path / "seen.xml").read_text()
 
 
 def test_a_scene_is_written_with_its_parts_and_what_is_left_out(tmp_path):
@@ -135,6 +216,7 @@ def test_a_scene_is_written_with_its_parts_and_what_is_left_out(tmp_path):
     readme = (tmp_path / "made" / "README.md").read_text()
     assert "light.ambient` = 0.3" in readme
     assert "discs of 1 mm" in readme
+    assert "make the picture 1 times as bright" in readme  # they are mirrored beside this picture
     assert "minus 45 mm" in readme
     mitsuba()
     import mitsuba as mi
@@ -150,8 +232,6 @@ def test_a_scene_is_written_with_its_parts_and_what_is_left_out(tmp_path):
 
 @pytest.mark.slow
 def test_a_press_moves_the_triangles_of_its_markers(tmp_path):
-    import trimesh
-
     scene = load_scene("kamiyama_pillar")
     files = export_scene(scene, tmp_path)
     assert [file.name for file in files] == ["rest.xml", "pressed.xml"]
@@ -169,22 +249,37 @@ def test_a_scene_without_a_camera_is_refused(tmp_path):
         export_scene(load_scene("block_bare"), tmp_path)
 
 
-WIDE_PUPIL = {"aperture_mm": 2.0, "focus_z_mm": 5.0}
+@pytest.mark.parametrize("keys", [{"exponent": 2.0}, {"profile": ((0.0, 1.0), (60.0, 0.0))}])
+def test_leds_that_stock_mitsuba_lacks_are_refused_by_their_key(keys):
+    check_stock(block())
+    with pytest.raises(RecipeError, match=f"light.{next(iter(keys))}.*stock Mitsuba has no plug-in"):
+        check_stock(changed(block(), light=keys))
 
 
 @pytest.mark.parametrize(
-    ("table", "keys"),
+    "keys",
     [
-        ("camera", {"distortion": (0.1, 0.0)}),
-        ("camera", {"aspect": 1.1}),
-        ("camera", {"vignetting": 4.0}),
-        ("camera", {"lens": "equidistant"}),
-        ("camera", {"principal_px": (50.0, 44.5), **WIDE_PUPIL}),
-        ("light", {"exponent": 2.0}),
-        ("light", {"profile": ((0.0, 1.0), (60.0, 0.0))}),
+        {"distortion": (0.1, 0.0)},
+        {"aspect": 1.1},
+        {"vignetting": 4.0},
+        {"lens": "equidistant"},
+        {"principal_px": (50.0, 44.5), "aperture_mm": 2.0, "focus_z_mm": 5.0},
     ],
 )
-def test_what_stock_mitsuba_lacks_is_refused_by_its_key(table, keys):
-    check_stock(changed(block(), camera=WIDE_PUPIL))
-    with pytest.raises(RecipeError, match=f"{table}.{next(iter(keys))}.*stock Mitsuba has no plug-in"):
-        check_stock(changed(block(), **{table: keys}))
+def test_a_lens_that_stock_mitsuba_lacks_is_written_beside_a_pinhole(tmp_path, keys):
+    """Each pixel's place in the pinhole's picture is where that has the same direction."""
+    scene = changed(block(), camera=keys, tolerance={"preset": "none"})
+    export_scene(scene, tmp_path)
+    assert "cv2.remap" in (tmp_path / "README.md").read_text()
+    film = ElementTree.parse(tmp_path / "rest.xml").find("sensor/film")
+    width, height = (int(film.find(f"integer[@name='{key}']").get("value")) for key in ("width", "height"))
+    focal = 2 * scene.camera.focal_px * max(scene.camera.aspect, 1)
+    lens = np.load(tmp_path / "lens.npz")
+    right = (lens["columns"] - (width - 1) / 2) / focal
+    up = ((height - 1) / 2 - lens["rows"]) / focal
+    towards = np.stack([right, up, -np.ones_like(up)], axis=2).reshape(-1, 3)
+    pixels = lens_of(towards, scene.camera).reshape(180, 240, 2)
+    assert_allclose(pixels[..., 0], np.broadcast_to((np.arange(240) + 0.5) / 2 - 0.5, (180, 240)), atol=1e-3)
+    assert_allclose(pixels[..., 1], np.broadcast_to((np.arange(180)[:, None] + 0.5) / 2 - 0.5, (180, 240)), atol=1e-3)
+    vignetted = (1 + right**2 + up**2).reshape(90, 2, 120, 2).mean(axis=(1, 3)) ** (-scene.camera.vignetting / 2)
+    assert_allclose(lens["light"], vignetted, rtol=1e-4)

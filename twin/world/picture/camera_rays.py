@@ -33,7 +33,7 @@ from twin.parts.load import Load
 from twin.parts.scene import Scene
 from twin.theory.lens import lens_inverse
 from twin.theory.optics import project, rays, reflection, transmission
-from twin.world.picture.cover import Outlook, cover_light, stretch
+from twin.world.picture.cover import SeeThrough, cover_light, stretch
 from twin.world.picture.lamps import Lamps
 
 PUPIL_WEIGHTS = np.concatenate([[0.25], np.full(6, 0.125)])
@@ -75,7 +75,7 @@ class View:
         (height, width, 3) light from the cover behind the markers, vignette included.
     veil
         (height, width, k) light of mirrored LEDs in front of all, k of `Light.tints`, or None.
-    outlook
+    see_through
         What is seen behind the sensing surface, None where that is black or hidden.
     """
 
@@ -84,7 +84,7 @@ class View:
     vignette: Singles
     cover: Singles
     veil: Singles | None
-    outlook: Outlook | None = None
+    see_through: SeeThrough | None = None
 
     @staticmethod
     def of(scene: Scene, top: float) -> View:
@@ -115,11 +115,16 @@ class View:
             glare = 0.0 if veil is None else veil * (1 - share)[:, :, None]
             veil = (light * share[:, :, None] * _outside(scene, top) + glare).astype(np.float32)
         cover = _cover_picture(scene, top, sees) * (vignette * sees)[:, :, None]
-        outlook = None
+        see_through = None
         if scene.cover is None or scene.cover.transmittance > 0:
-            outlook = Outlook(corners, sees, scene, top)
+            see_through = SeeThrough(sees, scene, top)
         return View(
-            corners=corners, sees=sees, vignette=vignette, cover=cover, veil=veil, outlook=outlook
+            corners=corners,
+            sees=sees,
+            vignette=vignette,
+            cover=cover,
+            veil=veil,
+            see_through=see_through,
         )
 
     @staticmethod
@@ -177,9 +182,9 @@ class View:
     def behind(self, probes: tuple[Load.Placed, ...]) -> Singles | None:
         """Return the (height, width, 3) light of what is seen behind the sensing surface; None if
         nothing is."""
-        if self.outlook is None or not (probes or self.outlook.is_bright):
+        if self.see_through is None or not (probes or self.see_through.is_bright):
             return None
-        return self.outlook.light(probes) * self.vignette[:, :, None]
+        return self.see_through.light(probes) * self.vignette[:, :, None]
 
     def ground_light(self, ccd: Ccd) -> float:
         """Return the light in a CCD's brightest channel that 99 % of the pixels do not exceed

@@ -10,8 +10,9 @@ it leaves the rubber there, as Snell's law bends it, through a gap of air.
 
 Validity: the change is first order in the displacement; detail finer than the grid, at the rim of a
 contact, is smoothed; the cover takes no shadows, as it is nearly black, and probes take none.
-Probes are lit as if the rubber went on to them, outlines are sharp to a pixel, and what stands in
-the rubber counts as touching it.
+Light reaches probes as if the rubber went on to them, outlines are sharp to a pixel, and what
+stands in the rubber counts as touching it. Behind the gap a probe is brighter than in touch, by the
+index squared, as all of its light that enters the rubber comes within the critical angle.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints, Points, Singles
+from twin.arrays import Bools, Floats, Ints, Pixels, Points, Singles
 from twin.parts.body import Body
 from twin.parts.camera import Camera
 from twin.parts.load import Load
@@ -32,6 +33,9 @@ from twin.world.picture.lamps import Lamps
 
 _STEP_PX = 16
 """Distance between the rays of the grid."""
+
+_CELLS = 400
+"""Cells along and across what the camera sees of a probe, as triangles."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,13 +156,7 @@ class Background:
     @property
     def triangles(self) -> Ints:
         """(k, 3) numbers of the places that make up triangles between the grid's rays."""
-        number = np.where(self._met, np.cumsum(self._met) - 1, -1)
-        grid = number.reshape(len(self._rows), len(self._columns))
-        here, right = grid[:-1, :-1].ravel(), grid[:-1, 1:].ravel()
-        below, both = grid[1:, :-1].ravel(), grid[1:, 1:].ravel()
-        halves = [np.column_stack([here, below, right]), np.column_stack([right, below, both])]
-        triangles = np.concatenate(halves)
-        return triangles[(triangles >= 0).all(axis=1)]
+        return _between(self._met.reshape(len(self._rows), len(self._columns)))
 
     def change(self, motion: CoverMotion) -> Singles:
         """Return (height, width, k) factors on the light of the cover at rest, k of `Light.tints`.
@@ -211,21 +209,21 @@ def stretch(nodes: Floats, size: int) -> Floats:
     )
 
 
-class Outlook:
-    """What the camera sees behind the sensing surface.
+class SeeThrough:
+    """What the camera sees behind the sensing surface, through clear rubber.
 
     Parameters
     ----------
-    corners, sees
-        Of `twin.world.picture.camera_rays.View`.
+    sees
+        (height, width) of `twin.world.picture.camera_rays.View`.
     scene
         With camera and light.
     top
         The irradiance that counts as 1.
     """
 
-    def __init__(self, corners: Floats, sees: Bools, scene: Scene, top: float) -> None:
-        self._corners, self._sees, self._scene, self._top = corners, sees, scene, top
+    def __init__(self, sees: Bools, scene: Scene, top: float) -> None:
+        self._sees, self._scene, self._top = sees, scene, top
 
     @property
     def is_bright(self) -> bool:
@@ -233,15 +231,102 @@ class Outlook:
         return any(self._scene.imaging[1].outside)
 
     @cached_property
-    def _exits(self) -> tuple[Ints, Points, Floats, Floats, Floats]:
-        """(n,) flat numbers of pixels whose rays leave the body at rest, (n, 3) places, directions
-        before and after it there, and (n,) shares that pass."""
-        corners, sees, scene = self._corners, self._sees, self._scene
-        middle = (corners[:-1, :-1] + corners[:-1, 1:] + corners[1:, :-1] + corners[1:, 1:]) / 4
-        ray = middle[sees]
-        down = np.column_stack([ray[:, 2:], np.full(len(ray), -1.0)])
-        along = down / np.linalg.norm(down, axis=1, keepdims=True)
-        origins = np.pad(ray[:, :2], ((0, 0), (0, 1)), constant_values=scene.body.base_z_mm)
+    def _exits(self) -> tuple[Ints, _Exits]:
+        """(n,) flat numbers of the pixels whose rays leave the body at rest, and these rays."""
+        seen = np.argwhere(self._sees)[:, ::-1].astype(float)
+        met, exits = _Exits.of(seen, self._scene)
+        return np.flatnonzero(self._sees)[met], exits
+
+    def light(self, probes: tuple[Load.Placed, ...]) -> Singles:
+        """Return the (height, width, 3) light from there before vignetting and gain."""
+        pixels, exits = self._exits
+        cover = self._scene.cover
+        through = 1.0 if cover is None else cover.transmittance
+        passed = exits.passed
+        seen = (through * passed)[:, None] * np.array(self._scene.imaging[1].outside)
+        nearest = np.full(len(seen), np.inf)
+        for probe in probes:
+            hit, way, rubber, points, normals = exits.meet(probe, nearest)
+            nearest[hit] = way
+            bright = _brightness(points, normals, self._scene, self._top)
+            # Radiance grows by the index squared as it enters the rubber.
+            entering = (self._scene.material.refractive_index * passed[hit]) ** 2
+            share = through**2 * np.where(rubber, 1.0, entering)
+            seen[hit] = share[:, None] * bright * np.array(probe.albedo)
+        picture = np.zeros((*self._sees.shape, 3), np.float32)
+        picture.reshape(-1, 3)[pixels] = seen
+        return picture
+
+    @staticmethod
+    def triangles(scene: Scene, probe: Load.Placed | None) -> tuple[Points, Floats, Ints]:
+        """Return (n, 3) places, (n, 3) normals and (k, 3) triangles of what the camera sees of a
+        probe; None: of the sensing surface at rest, with normals into the rubber."""
+        camera, _ = scene.imaging
+        # Light that reaches a probe may cross the surface beside the picture.
+        more = 0.5 if probe is None else 0.0
+        columns, rows = (
+            np.linspace(-more * size - 0.5, (1 + more) * size - 0.5, _CELLS + 1)
+            for size in (camera.width_px, camera.height_px)
+        )
+        # The whole picture, then the part of it that shows the probe.
+        for last in (probe is None, True):
+            nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+            met, exits = _Exits.of(nodes, scene)
+            places = exits.places
+            if probe is None:
+                normals = scene.body.piece_normals(places)[:, 0]
+            else:
+                hit, _, _, places, normals = exits.meet(probe, np.full(len(places), np.inf))
+                met[np.delete(np.flatnonzero(met), hit)] = False
+            grid = met.reshape(len(rows), len(columns))
+            if last or not met.any():
+                break
+            columns, rows = (
+                np.linspace(
+                    nodes[max(some[0] - 1, 0)], nodes[min(some[-1] + 1, _CELLS)], _CELLS + 1
+                )
+                for nodes, some in (
+                    (columns, np.flatnonzero(grid.any(axis=0))),
+                    (rows, np.flatnonzero(grid.any(axis=1))),
+                )
+            )
+        return places, normals, _between(grid)
+
+
+def _between(met: Bools) -> Ints:
+    """Return (k, 3) triangles between neighbours of a grid of rays, of which some meet a surface:
+    numbers among those, row by row."""
+    number = np.where(met, np.cumsum(met).reshape(met.shape) - 1, -1)
+    here, right = number[:-1, :-1].ravel(), number[:-1, 1:].ravel()
+    below, both = number[1:, :-1].ravel(), number[1:, 1:].ravel()
+    halves = [np.column_stack([here, below, right]), np.column_stack([right, below, both])]
+    triangles = np.concatenate(halves)
+    return triangles[(triangles >= 0).all(axis=1)]
+
+
+@dataclass(frozen=True)
+class _Exits:
+    """Rays that leave a body at rest through its sensing surface.
+
+    Attributes
+    ----------
+    places
+        (n, 3) where they do, mm.
+    along, air
+        (n, 3) unit vectors before and after it.
+    passed
+        (n,) shares of the light that pass.
+    """
+
+    places: Points
+    along: Floats
+    air: Floats
+    passed: Floats
+
+    @staticmethod
+    def of(pixels: Pixels, scene: Scene) -> tuple[Bools, _Exits]:
+        """Return which of (n, 2) places in the picture have such a ray, and these rays."""
+        origins, along = rays(pixels, *scene.optics)
         places, normals = _places_at(origins, along, scene.body, 0.0)
         met = np.isfinite(places[:, 0])
         places, along, normals = places[met], along[met], normals[met]
@@ -253,33 +338,23 @@ class Outlook:
         air = index * along + (index * cosine - in_air)[:, None] * normals
         slant = np.sqrt(1 - in_air**2) / np.maximum(in_air, 1e-6)
         passed = np.where(square > 0, 1 - reflection(slant, index, 1.0), 0.0)
-        return np.flatnonzero(sees)[met], places, along, air, passed
+        return met, _Exits(places, along, air, passed)
 
-    def light(self, probes: tuple[Load.Placed, ...]) -> Singles:
-        """Return the (height, width, 3) light from there before vignetting and gain."""
-        pixels, places, along, air, passed = self._exits
-        cover = self._scene.cover
-        through = 1.0 if cover is None else cover.transmittance
-        seen = (through * passed)[:, None] * np.array(self._scene.imaging[1].outside)
-        nearest = np.full(len(seen), np.inf)
-        for probe in probes:
-            # In the rubber, or else behind the gap.
-            ahead, normals = probe.met(places, -along)
-            behind, their_normals = probe.met(places, -air)
-            within = ahead <= 0
-            way = np.where(within, ahead, np.where((behind > 0) & (passed > 0), behind, np.inf))
-            hit = np.flatnonzero(way < nearest)
-            nearest[hit] = way[hit]
-            within = within[hit]
-            onward = np.where(within[:, None], along[hit], air[hit])
-            towards = np.where(within[:, None], normals[hit], their_normals[hit])
-            points = places[hit] + way[hit, None] * onward
-            bright = _brightness(points, towards, self._scene, self._top)
-            share = through**2 * np.where(within, 1.0, passed[hit] ** 2)
-            seen[hit] = share[:, None] * bright * np.array(probe.albedo)
-        picture = np.zeros((*self._sees.shape, 3), np.float32)
-        picture.reshape(-1, 3)[pixels] = seen
-        return picture
+    def meet(
+        self, probe: Load.Placed, within_mm: Floats
+    ) -> tuple[Ints, Floats, Bools, Points, Floats]:
+        """Return which rays meet a probe less than (n,) ``within_mm`` behind their places: their
+        numbers, how far behind, whether the probe stands in the rubber there, the places on it,
+        and its normals."""
+        ahead, normals = probe.met(self.places, -self.along)
+        behind, their_normals = probe.met(self.places, -self.air)
+        rubber = ahead <= 0
+        way = np.where(rubber, ahead, np.where((behind > 0) & (self.passed > 0), behind, np.inf))
+        hit = np.flatnonzero(way < within_mm)
+        way, rubber = way[hit], rubber[hit]
+        onward = np.where(rubber[:, None], self.along[hit], self.air[hit])
+        facing = np.where(rubber[:, None], normals[hit], their_normals[hit])
+        return hit, way, rubber, self.places[hit] + way[:, None] * onward, facing
 
 
 def _places_at(

@@ -213,7 +213,7 @@ class Renderer:
     ) -> CoverMotion | None:
         """Return what `radiance` takes of a load: ``moved`` gives displacements and gradients of
         places; None where pictures don't show any of it."""
-        if self.background is None and (self._view.outlook is None or not probes):
+        if self.background is None and (self._view.see_through is None or not probes):
             return None
         places = np.zeros((0, 3)) if self.background is None else self.background.moving
         displacement, gradient = moved(places) if len(places) else (places, np.zeros((0, 3, 3)))

@@ -4,14 +4,19 @@ Camera and LEDs are in air, the window is dielectric interfaces, markers and cov
 Any path integrator can make the picture, with thousands of paths a pixel where
 `twin.world.picture.path_tracer` takes 64: LEDs are found by chance only.
 
-Validity: a pinhole or thin lens without distortion; LEDs that shine by the cosine. The rubber has
-no sides, and the even share of light (``light.ambient``) has no source, so it is left out.
+Stock Mitsuba has pinholes and thin lenses. Of any other lens it makes a finer and wider picture by
+a pinhole, and `_LENS_FILE` says which place of that each pixel shows, and how bright.
+
+Validity: LEDs that shine by the cosine. The rubber has no sides but the sensing surface at rest
+behind which a probe is seen, and the even share of light (``light.ambient``) has no source, so it
+is left out. A lens shows nothing beyond `_WIDEST` of its axis; triangles of a probe are what the
+camera sees of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -23,16 +28,34 @@ from twin.arrays import Floats, Ints, Points
 from twin.errors import RecipeError
 from twin.files import write_whole
 from twin.parts.camera import Camera
+from twin.parts.load import Load
 from twin.parts.scene import Scene
+from twin.theory.lens import lens_inverse
 from twin.theory.optics import reflection
-from twin.world.picture.cover import Background, CoverMotion
+from twin.world.picture.cover import Background, CoverMotion, SeeThrough
 from twin.world.picture.ellipsoids import Ellipsoids
 
-_LED_MM = 1.0
-"""Radius of the disc that stands for an LED without one: chance never finds a point."""
+_ABOVE_MM = 1e-3
+"""Height of marks above the window."""
+
+_BEFORE_MM = 0.05
+"""How far a cover that lies on a probe stands before its own triangles."""
 
 _SUBDIVISIONS = 3
 """Of an icosahedron: 1280 triangles a marker, whose outline is .2 % of the radius off."""
+
+_CORNERS = 32
+"""Of a round mark on the window."""
+
+_FINER = 2
+"""Pixels of the pinhole's picture for one of the lens's, along and across."""
+
+_WIDEST = 4.0
+"""Tangent of the largest angle to the axis that the pinhole's picture takes."""
+
+_LENS_FILE = "lens.npz"
+"""Columns and rows (2 height, 2 width) in the pinhole's picture, -1 for none, and light (height,
+width)."""
 
 _TAGS = {
     "path": "integrator",
@@ -45,6 +68,7 @@ _TAGS = {
     "diffuse": "bsdf",
     "roughplastic": "bsdf",
     "twosided": "bsdf",
+    "mask": "bsdf",
     "area": "emitter",
     "mesh_attribute": "texture",
 }
@@ -67,6 +91,8 @@ class Triangles:
         (n, 3) diffuse reflectance at the corners.
     gloss
         Refractive index and roughness of a smooth skin; None: matt.
+    opacity
+        Share of the light that doesn't pass.
     """
 
     places: Points
@@ -74,6 +100,7 @@ class Triangles:
     faces: Ints
     colours: Floats
     gloss: tuple[float, float] | None = None
+    opacity: float = 1.0
 
     def paint(self, scene: Scene) -> dict[str, Any]:
         """Return Mitsuba's tables of the surface's material."""
@@ -88,7 +115,10 @@ class Triangles:
                 "ext_ior": scene.material.refractive_index,
                 "alpha": self.gloss[1],
             }
-        return {"type": "twosided", "inner": inner}
+        both = {"type": "twosided", "inner": inner}
+        return (
+            both if self.opacity == 1 else {"type": "mask", "opacity": self.opacity, "inner": both}
+        )
 
     def as_ply(self, down_mm: float = 0.0) -> bytes:
         """Return the surface as a binary PLY file, with z smaller by ``down_mm``."""
@@ -107,15 +137,17 @@ class Triangles:
         return "\n".join(head).encode() + corners.astype("<f4").tobytes() + faces.tobytes()
 
 
-def _marker_triangles(markers: Ellipsoids) -> Triangles:
-    """Return all markers that are there as one surface, in the gloss of the first."""
+def _marker_triangles(markers: Ellipsoids, hollow: float = 0.0) -> Triangles:
+    """Return all markers that are there as one surface, in the gloss of the first; without what
+    lies within a share ``hollow`` of the radius of the line through the middle along z."""
     ball = trimesh.creation.icosphere(subdivisions=_SUBDIVISIONS)
     # A ball of triangles within the sphere shows too little: enlarged to the sphere's area.
     unit = np.asarray(ball.vertices) * np.sqrt(4 * np.pi / ball.area)
     places = markers.centres[:, None] + unit @ np.swapaxes(markers.axes, 1, 2)
     normals = unit @ np.linalg.inv(markers.axes)
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    faces = ball.faces[None] + len(unit) * np.arange(len(markers))[:, None, None]
+    rim = np.linalg.norm(ball.triangles_center[:, :2], axis=1) >= hollow
+    faces = ball.faces[rim][None] + len(unit) * np.arange(len(markers))[:, None, None]
     gloss = None if markers.gloss is None else tuple(markers.gloss[0].tolist())
     colours = np.repeat(markers.colour, len(unit), axis=0)
     if markers.texture is not None and not (gloss and gloss[0]):  # `roughplastic` is even
@@ -170,6 +202,77 @@ def surfaces(
     return found
 
 
+def _all_surfaces(
+    scene: Scene, markers: Ellipsoids, cover: CoverMotion | None
+) -> dict[str, Triangles]:
+    """Return `surfaces`, marks in the rubber and on the window, and probes behind clear rubber with
+    the sensing surface at rest, by name."""
+    background = Background(scene, 1.0)
+    found = surfaces(scene, markers, background if scene.cover is not None else None, cover)
+    if scene.cover is not None and scene.cover.transmittance > 0:
+        # What is let through sends nothing back.
+        opacity = 1 - scene.cover.transmittance
+        one = found.pop("cover")
+        if opacity > 0:
+            found["cover"] = replace(one, colours=one.colours / opacity, opacity=opacity)
+    for n, (marks, shapes) in enumerate(background.specks(cover)):
+        found[f"specks{n}"] = _marker_triangles(shapes, marks.hollow)
+    for n, marks in enumerate(scene.imaging[0].on_window):
+        found[f"marks{n}"] = _on_window(marks, scene)
+    probes = () if cover is None else cover.probes
+    for n, probe in enumerate(probes):
+        found[f"probe{n}"] = _seen_through(scene, probe)
+    if probes:
+        found["surface"] = _seen_through(scene, None)
+    return {name: surface for name, surface in found.items() if len(surface.faces)}
+
+
+def _seen_through(scene: Scene, probe: Load.Placed | None) -> Triangles:
+    """Return `twin.world.picture.cover.SeeThrough.triangles` with their colour."""
+    places, normals, faces = SeeThrough.triangles(scene, probe)
+    colours = np.tile((1.0, 1.0, 1.0) if probe is None else probe.albedo, (len(places), 1))
+    if probe is not None and scene.cover is not None:
+        # A cover that the probe touches lies on it, in front of itself at rest.
+        touched = scene.body.depth(places) > 0
+        inwards = scene.body.piece_normals(places[touched])[:, 0]
+        places[touched] += (scene.cover.thickness_mm + _BEFORE_MM) * inwards
+        colours[touched] *= scene.cover.transmittance**2
+        colours[touched] += scene.cover.albedo
+    return Triangles(places=places, normals=normals, faces=faces, colours=colours)
+
+
+def _on_window(marks: Camera.Marks, scene: Scene) -> Triangles:
+    """Return marks just above the window's outer face: straight bands with round ends."""
+    camera, _, height = scene.optics
+    height += sum(layer.thickness_mm for layer in camera.layers) + _ABOVE_MM
+    lines = marks.lines(*scene.body.bounds_mm)
+    half = (lines[:, 1] - lines[:, 0]) / 2
+    along = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-300)
+    along[~half.any(axis=1)] = [1.0, 0.0]
+    across = np.column_stack([-along[:, 1], along[:, 0]])
+    step = 2 * np.pi / _CORNERS
+    angle = step * (np.arange(_CORNERS) + 0.5)
+    # A polygon of the circle's area, and within it that of what is clear.
+    round_ends = np.cos(angle)[:, None] * along[:, None] + np.sin(angle)[:, None] * across[:, None]
+    ends = lines.mean(axis=1)[:, None] + np.sign(np.cos(angle))[:, None] * half[:, None]
+    outer = marks.size_mm / 2 * np.sqrt(step / np.sin(step))
+    rings = np.concatenate([ends + outer * round_ends, ends + marks.hollow * outer * round_ends], 1)
+    here = np.arange(_CORNERS)
+    following = (here + 1) % _CORNERS
+    halves = [
+        np.column_stack([here, following, here + _CORNERS]),
+        np.column_stack([following, following + _CORNERS, here + _CORNERS]),
+    ]
+    faces = np.concatenate(halves) + 2 * _CORNERS * np.arange(marks.count)[:, None, None]
+    places = np.pad(rings.reshape(-1, 2), ((0, 0), (0, 1)), constant_values=height)
+    return Triangles(
+        places=places,
+        normals=np.tile([0.0, 0.0, 1.0], (len(places), 1)),
+        faces=faces.reshape(-1, 3),
+        colours=np.full((len(places), 3), marks.albedo),
+    )
+
+
 def window(scene: Scene, down_mm: float = 0.0) -> tuple[dict[str, Any], float]:
     """Return Mitsuba's tables of the window's interfaces, from the rubber outwards, with z smaller
     by ``down_mm``; and the share of straight light that all of them pass."""
@@ -200,26 +303,30 @@ def write_stock_scene(
     markers: Ellipsoids,
     cover: CoverMotion | None = None,
 ) -> Path:
-    """Write ``name``.xml and its PLY files into a folder; return the XML file.
+    """Write ``name``.xml, its PLY files and, for what is no pinhole or thin lens, `_LENS_FILE` into
+    a folder; return the XML file.
 
     Parameters
     ----------
     folder, name
         The folder, which exists, and the files' first word.
     scene
-        With camera and light.
+        With camera and light; its LEDs are discs.
     exposure
         Of `twin.world.picture.render.Renderer.exposure`: pixels are then in its units.
     markers, cover
-        The markers, and how the places of the cover's `Background` have moved.
+        The markers, and how the places of the cover's `Background` have moved; the probes that the
+        camera sees.
 
     Raises
     ------
     RecipeError
-        Stock Mitsuba has no such lens, or no such LED.
+        Stock Mitsuba has no such LEDs.
     """
     check_stock(scene)
     camera, light = scene.imaging
+    if not camera.is_plain:
+        camera = _write_lens(folder, camera)
     # Mitsuba starts a ray behind an interface by a share of its coordinates: near 0 that is least.
     down = scene.window_middle_mm
     interfaces, through = window(scene, down)
@@ -230,7 +337,7 @@ def write_stock_scene(
     }
     # An LED of intensity 1 as a disc, times what makes a pixel's light 1 where it fills the well:
     # the program counts brightness before the window spreads it, and relative to straight light.
-    radius = light.radius_mm or _LED_MM
+    radius = light.radius_mm
     index = scene.material.refractive_index
     radiance = (1 - light.ambient) * exposure * (index / through / radius) ** 2
     for n, (place, power) in enumerate(zip(light.positions_mm, light.powers, strict=True)):
@@ -239,10 +346,12 @@ def write_stock_scene(
             "to_world": _matrix(radius * np.diag([1, -1, -1]), (*place[:2], place[2] - down)),
             "emitter": {"type": "area", "radiance": _rgb(radiance * power)},
         }
-    background = Background(scene, 1.0) if scene.cover is not None else None
-    for part, surface in surfaces(scene, markers, background, cover).items():
+    for part, surface in _all_surfaces(scene, markers, cover).items():
         file = f"{name}_{part}"
-        table[file] = {"type": "ply", "filename": f"{file}.ply", "bsdf": surface.paint(scene)}
+        # Beneath the sensing surface there is air.
+        air = {"type": "dielectric", "int_ior": 1.0, "ext_ior": index}
+        painted = air if part == "surface" else surface.paint(scene)
+        table[file] = {"type": "ply", "filename": f"{file}.ply", "bsdf": painted}
         write_whole(folder / f"{file}.ply", surface.as_ply(down))
     # The tables in Mitsuba's XML.
     root = ElementTree.Element("scene", version="3.0.0")
@@ -255,27 +364,43 @@ def write_stock_scene(
 
 
 def check_stock(scene: Scene) -> None:
-    """Raise a `RecipeError` where stock Mitsuba lacks the lens or the LEDs of a scene."""
-    camera, light = scene.imaging
-    off = np.abs(
-        np.subtract(camera.centre_px, [(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
-    )
+    """Raise a `RecipeError` where stock Mitsuba lacks the LEDs of a scene."""
+    _, light = scene.imaging
     problems = {
-        f"camera.lens = {camera.lens}": camera.lens != "pinhole",
-        f"camera.distortion = {camera.distortion}": any(camera.distortion),
-        f"camera.aspect = {camera.aspect:g}": camera.aspect != 1,
-        f"camera.vignetting = {camera.vignetting:g}": camera.vignetting > 0,
-        "camera.principal_px beside the middle, with an aperture": camera.aperture_mm > 0
-        and off.max() > 1e-9,
         f"light.exponent = {light.exponent:g}": light.profile is None and light.exponent != 1,
         "light.profile": light.profile is not None,
     }
     if lacking := [key for key, there in problems.items() if there]:
         raise RecipeError(
-            f"{', '.join(lacking)}: stock Mitsuba has no plug-in for it. It has pinhole and thin "
-            "lenses, and LEDs that shine by the cosine (light.exponent = 1): change the keys, or "
-            "take renderer = 'path', which has them all"
+            f"{', '.join(lacking)}: stock Mitsuba has no plug-in for it. Its LEDs shine by the "
+            "cosine (light.exponent = 1): change the keys, or take renderer = 'path', which has all"
         )
+
+
+def _write_lens(folder: Path, camera: Camera) -> Camera:
+    """Write `_LENS_FILE`, and return the pinhole camera of whose picture it is."""
+    columns, rows = (
+        (np.arange(_FINER * size) + 0.5) / _FINER - 0.5
+        for size in (camera.width_px, camera.height_px)
+    )
+    places = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    into = lens_inverse(places, camera)
+    ahead = np.where(-into[:, 2] > 1e-12, -into[:, 2], np.nan)
+    across = into[:, :2] / ahead[:, None] * [1, -1]
+    across[~(np.linalg.norm(across, axis=1) < _WIDEST)] = np.nan
+    focal = _FINER * camera.focal_px * max(camera.aspect, 1.0)
+    width, height = (
+        2 * int(np.ceil(focal * most) + 1) for most in np.nanmax(np.abs(across), axis=0)
+    )
+    found = across * focal + [(width - 1) / 2, (height - 1) / 2]
+    shape = len(rows), len(columns)
+    light = np.nan_to_num(np.clip(-into[:, 2], 0, 1) ** camera.vignetting).reshape(shape)
+    light = light.reshape(camera.height_px, _FINER, camera.width_px, _FINER).mean(axis=(1, 3))
+    maps = np.nan_to_num(found, nan=-1.0).reshape(*shape, 2).astype(np.float32)
+    tables = {"columns": maps[..., 0], "rows": maps[..., 1], "light": light.astype(np.float32)}
+    write_whole(folder / _LENS_FILE, lambda file: np.savez_compressed(file, **tables))
+    plain = {"width_px": width, "height_px": height, "focal_px": focal, "principal_px": None}
+    return camera.model_copy(update=plain)
 
 
 def _sensor(scene: Scene, camera: Camera, down: float) -> dict[str, Any]:
