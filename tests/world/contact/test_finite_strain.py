@@ -306,8 +306,8 @@ def test_sphere_on_a_dome_is_another_codes_all_around_and_so_is_its_contact_radi
     size = largest(np.array(case["linear_mm"]))
     left = largest(more.displacement(places) - wanted) / size
     assert left < 7e-3 < largest(wanted) / size / 7
-    # The body's coarsest mesh differs from machine to machine: 1.8 to 4.6 were seen.
-    assert left < more.error.markers < 6 * left
+    # The body's coarsest mesh differs from machine to machine: 1.4 to 2.7 on six each.
+    assert left < more.error.markers < 3.5 * left
     assert more.indentation_mm / case["indentation_linear_mm"] == pytest.approx(deeper(case), abs=1.5e-3)
     assert more.wider[0] == pytest.approx(case["contact_mm"] / case["contact_linear_mm"], rel=8e-3)
 
