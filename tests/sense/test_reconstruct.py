@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from half_space_sensor import as_found, cell_compliance, disk, finger_sensor, flat_sensor, pressed, shifts
+from numpy.testing import assert_allclose
 
 from twin.errors import InputError
 from twin.judge.score import force_score
@@ -184,6 +185,27 @@ def test_marginal_likelihood_finds_a_drawn_weight():
         validated.append(factors.weight("gcv", data))
     assert np.median(likely) == pytest.approx(4.0, rel=0.3)
     assert 2.0 < np.median(validated) < 20.0
+
+
+def test_factors_of_some_markers_are_their_own_and_round_off_chooses_no_weight():
+    """More unknowns than data, and none of it noise: small weights all explain the data."""
+    random = np.random.default_rng(4)
+    h = random.normal(0, 1, (30, 60)) * np.geomspace(1, 1e-3, 60)
+    penalty = np.eye(60) + 0.1 * np.diag(np.ones(59), 1) + 0.1 * np.diag(np.ones(59), -1)
+    rows, scale = np.arange(30) % 5 != 2, random.uniform(0.2, 2.0, 24)
+    some, own = Factors.of(h, penalty).of_some(rows, scale), Factors.of(scale[:, None] * h[rows], penalty)
+    data, ways = scale * (h[rows] @ random.normal(0, 1, 60)), random.normal(0, 1, (3, 60))
+    largest = own.singular.max() ** 2
+    for weight in (1e-6, 0.1):
+        assert_allclose(some.forces(data, weight), own.forces(data, weight), rtol=1e-8)
+        assert_allclose(some.covariance(weight, ways), own.covariance(weight, ways), rtol=1e-8)
+        assert_allclose(some.site_variance(weight), own.site_variance(weight), rtol=1e-8)
+        assert some.noise_scale(data, weight) == pytest.approx(own.noise_scale(data, weight), rel=1e-8)
+    for column in range(0, 20, 4):
+        for rule in ("likelihood", "gcv", "auto"):
+            found = some.weight(rule, scale * h[rows, column])
+            assert found == pytest.approx(own.weight(rule, scale * h[rows, column]), rel=1e-6)
+            assert found > 1e-12 * largest
 
 
 def test_unusable_motion_and_options():

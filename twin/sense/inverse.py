@@ -259,22 +259,30 @@ def _weights(
 
 
 def _base(calibration: Calibration, method: InverseMethod, known: Bools, noise: Floats) -> _Base:
-    """Factorise, or take a kept factorisation: with even noise it only scales."""
+    """Factorise, or take a kept factorisation: with even noise it only scales.
+
+    Where markers give fewer data than sites have unknowns, a film has a new pattern of noise in
+    most of its frames (`_weights`): they follow from the factors of all markers alike.
+    """
     kept = _kept.setdefault(calibration, {})
     even = bool(np.all(noise == noise[0]))
     pattern = (noise / noise.mean()).round(6) if not even else np.ones(1)
     key = (method.penalty, known.tobytes() + pattern.tobytes())
-    if key not in kept:
-        rows = calibration.transfer[np.repeat(known, 2)]
-        whitened = rows / np.repeat(noise / noise.mean(), 2)[:, None]
-        matrix = method.matrix(calibration.grid)
+    base = kept.pop(key, None)
+    if base is None:
+        scale = np.repeat(noise.mean() / noise, 2)
+        whitened = scale[:, None] * calibration.transfer[np.repeat(known, 2)]
+        every = calibration.calibrated
+        alike = even and np.array_equal(known, every)
+        if alike or 2 * every.sum() >= whitened.shape[1]:
+            penalty = method.matrix(calibration.grid)
+            factors = Factors.of(whitened, penalty)
+        else:
+            whole = _base(calibration, method, every, np.ones(int(every.sum())))
+            penalty = whole.penalty
+            factors = whole.factors.of_some(np.repeat(known[every], 2), scale)
+        base = _Base(transfer=whitened, penalty=penalty, factors=factors, gram={}, quadratics={})
         while len(kept) >= KEPT:
             kept.pop(next(iter(kept)))
-        kept[key] = _Base(
-            transfer=whitened,
-            penalty=matrix,
-            factors=Factors.of(whitened, matrix),
-            gram={},
-            quadratics={},
-        )
-    return kept[key]
+    kept[key] = base  # as the last that goes
+    return base

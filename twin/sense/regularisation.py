@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from twin.arrays import Floats, Ints
+from twin.arrays import Bools, Floats, Ints
 from twin.parts.methods import WeightRule
 
 LEAST_DECADES, MOST_DECADES = -13.0, -2.0
@@ -39,6 +39,11 @@ total are .6 to 1.2 times the stated ones up to 10 mN; with -1 loads of 2 to 5 m
 deviations off, with 0 they are 4 to 12, with 2 over 100."""
 
 PER_DECADE = 6
+FLAT = 1e-8
+"""Weights whose objectives differ by less are as good, and the largest is taken. Where sites have
+more unknowns than markers give data, small weights all explain them without noise, and round-off
+would choose."""
+
 ROBUSTNESS = 0.3
 LIKELY = 2.0
 """What the most likely weight is raised by where none is given."""
@@ -85,10 +90,10 @@ def _cross_validated(seen: Factors.Spectrum) -> float:
     """
 
     def log_score(weight: Floats) -> Floats:
-        share = seen.squared / (seen.squared + weight[:, None])
-        residual = ((1.0 - share) ** 2 * seen.energy).sum(axis=1) + seen.outside
-        influence = ROBUSTNESS + (1.0 - ROBUSTNESS) * (share**2).sum(axis=1) / seen.count
-        freedom = np.maximum(1.0 - share.sum(axis=1) / seen.count, 1e-6)
+        left = weight[:, None] / (seen.squared + weight[:, None])
+        residual = (left**2 * seen.energy).sum(axis=1) + seen.outside
+        influence = ROBUSTNESS + (1.0 - ROBUSTNESS) * ((1.0 - left) ** 2).sum(axis=1) / seen.count
+        freedom = (left.sum(axis=1) + seen.count - len(seen.squared)) / seen.count
         return np.asarray(np.log(residual * influence / freedom**2))
 
     return _least(log_score, seen)
@@ -103,7 +108,8 @@ def _least(objective: Callable[[Floats], Floats], seen: Factors.Spectrum) -> flo
     decades = np.linspace(LEAST_DECADES, MOST_DECADES, count)
     best = 0.0
     for _ in range(2):
-        best = float(decades[np.argmin(objective(top * 10.0**decades))])
+        values = objective(top * 10.0**decades)
+        best = float(decades[values <= values.min() + FLAT].max())
         step = decades[1] - decades[0]
         decades = np.minimum(np.linspace(best - step, best + step, 21), MOST_DECADES)
     return float(top * 10.0**best)
@@ -184,6 +190,24 @@ class Factors:
             share=np.ones(len(left)),
         )
 
+    def of_some(self, rows: Bools, scale: Floats) -> Factors:
+        """Return the factors of some rows of the matrix, (m,), each times its scale (u,).
+
+        Where data are fewer than unknowns, this takes half the time of `of`.
+        """
+        part = scale[:, None] * (self.left[rows] * self.singular)
+        few = len(part) <= len(self.singular)
+        left, singular, right = scipy.linalg.svd(part, full_matrices=few)
+        back = self.back @ right.T
+        count = len(singular)
+        return Factors(
+            left=left,
+            singular=singular,
+            back=back[:, :count],
+            null=np.hstack([self.null, back[:, count:]]),
+            share=np.ones(len(part)),
+        )
+
     @property
     def rows(self) -> Ints:
         """(s,) indices of the data whose information is not the usual one."""
@@ -257,9 +281,13 @@ class Factors:
     def noise_scale(self, data: Floats, weight: float) -> float:
         """Return how much larger the noise is than stated, as the marginal likelihood at ``weight``
         has it."""
-        residual = data - self.predicted(data, weight)
-        squared = float((self.share * data) @ residual)
-        return float(np.sqrt(max(squared, 0.0) / max(int((self.share > 0).sum()), 1)))
+        if len(self.rows):
+            residual = data - self.predicted(data, weight)
+            squared = max(float((self.share * data) @ residual), 0.0)
+        else:  # without the cancellation where weights are small
+            seen = self._spectrum(data, self._of_others(data))
+            squared = float(seen.energy @ (weight / (seen.squared + weight))) + seen.rest
+        return float(np.sqrt(squared / max(int((self.share > 0).sum()), 1)))
 
     def covariance(self, weight: float, rows: Floats) -> Floats:
         """Return the (q, q) covariance of ``rows`` (q, 3k) times the forces, at unit noise.
@@ -290,7 +318,9 @@ class Factors:
         return np.asarray(usual + np.einsum("si,si->i", response, more @ response))
 
     def _spectrum(self, data: Floats, coefficient: Floats) -> Factors.Spectrum:
-        rest = max(float(data @ data) - float(coefficient @ coefficient), 0.0)
+        rest = 0.0  # what lies outside is round-off where U is square
+        if len(data) > len(coefficient):
+            rest = max(float(data @ data) - float(coefficient @ coefficient), 0.0)
         return Factors.Spectrum(
             squared=self.singular**2, energy=coefficient**2, rest=rest, count=len(data)
         )
