@@ -64,7 +64,12 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
             ["run", "kamiyama_pillar", "-s", "press.at_mm=[1,2,3,4]"],
             "at_mm = [1, 2, 3, 4] mm: must be a list of at most 3",
         ),
-        (["run", "kamiyama_pillar", "-s", "press.direction=down"], "must be a list, such as [0, 0] or 'normal'\n"),
+        (["run", "kamiyama_pillar", "-s", "press.direction=down"], "must be a list, such as [0, 0, 0] or 'normal'\n"),
+        (
+            ["run", "kamiyama_pillar", "-s", "press.albedo=0.5"],
+            "press.albedo = 0.5: must be a list, such as [0, 0, 0]\n",
+        ),
+        (["run", "kamiyama_pillar", "-s", "light.positions_mm=3"], "such as [[0, 0, 0], [0, 0, 0]]\n"),
         (["run", "kamiyama_pillar", "--out", "RECORDING"], "RECORDING: holds rest.png, which no run wrote"),
         (["run", "LINK"], "scene 'LINK': is no file to read, but a folder, a device, or a link to nowhere"),
         (["run", "long" * 100], "there is no such file"),

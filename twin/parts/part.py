@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from enum import IntEnum
 from functools import cache
 from inspect import Parameter, Signature
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -128,7 +128,10 @@ class Part(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as problem:
-            lines = [_complaint(dict(error), known) for error in problem.errors(include_url=False)]
+            lines = [
+                _complaint(dict(error), type(self), known)
+                for error in problem.errors(include_url=False)
+            ]
             raise RecipeError(lines, type(self).__name__) from None
 
     # Whole files are validated without a call of this constructor, so that their complaints can
@@ -243,7 +246,6 @@ WORDS = {
     "missing": "missing; give a value",
     "extra_forbidden": "unknown key",
     "string_type": "must be a text",
-    "tuple_type": "must be a list, such as [0, 0]",
     "dict_type": "must be a table",
     "model_type": "must be a table",
     "float_type": "must be a number",
@@ -257,9 +259,14 @@ WORDS = {
 """What the validation library's errors say, in the words of a recipe."""
 
 
-def in_words(error: Mapping[str, Any]) -> str:
-    """Return an error of the validation library in the words of a recipe."""
+def in_words(error: Mapping[str, Any], annotation: Any = tuple[float, float]) -> str:
+    """Return an error of the validation library in the words of a recipe.
+
+    ``annotation`` is that of the key; the default is a list of two numbers.
+    """
     kind = str(error["type"])
+    if kind == "tuple_type":
+        return f"must be a list, such as {_example(annotation) or '[0, 0]'}"
     facts = error.get("ctx") or {}
     if kind in ("too_short", "too_long") and "field_type" in facts:
         bound = (
@@ -277,12 +284,24 @@ def in_words(error: Mapping[str, Any]) -> str:
     )
 
 
-def _complaint(error: dict[str, Any], known: Sequence[str]) -> str:
+def _example(annotation: Any) -> str:
+    """Return a list as a key of a type takes it, empty where that takes none."""
+    inside = [each for each in get_args(annotation) if each is not Ellipsis]
+    inside *= 2 if Ellipsis in get_args(annotation) else 1
+    if get_origin(annotation) is tuple:
+        return f"[{', '.join(_example(each) or '0' for each in inside)}]"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return "{...}"
+    return next((example for each in inside if (example := _example(each)).startswith("[")), "")
+
+
+def _complaint(error: dict[str, Any], part: type[Part], known: Sequence[str]) -> str:
     key = ".".join(
         str(k) for k in error["loc"] if k != "constrained-float"
     )  # no key: a union's number
     unit = unit_of(str(error["loc"][-1])) if error["loc"] else ""
-    message = in_words(error)
+    field = part.model_fields.get(key)
+    message = in_words(error, field.annotation if field else tuple[float, float])
     if error["type"] == "extra_forbidden" and len(error["loc"]) == 1:
         message += f"; {did_you_mean(key, known, 'known are ' + ', '.join(known), 0.5)}"
     in_message = isinstance(error["input"], dict) or error["type"] in ("missing", "extra_forbidden")

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from twin.errors import InputError, RecipeError, did_you_mean, require
 from twin.files import MESHES, SCENES
@@ -397,7 +398,9 @@ def _nearest(errors: list[dict[str, Any]], table: Mapping[str, Any]) -> list[dic
         near = [some for kind, some in kinds.items() if far[kind] == min(far.values())]
         if len(near) > 1 and len(near[0]) == 1:
             # the value is none of them: what each wants, in one line
-            words = {some[0]["type"]: in_words(some[0]).removeprefix("must be ") for some in near}
+            words = {
+                some[0]["type"]: _worded(some[0], table).removeprefix("must be ") for some in near
+            }
             plain.append(
                 {**near[-1][0], "type": "", "msg": "must be " + " or ".join(words.values())}
             )
@@ -405,6 +408,18 @@ def _nearest(errors: list[dict[str, Any]], table: Mapping[str, Any]) -> list[dic
             plain += [error for some in near for error in some]
         kept += plain
     return kept
+
+
+def _worded(error: dict[str, Any], table: Mapping[str, Any]) -> str:
+    """Return `in_words` with an example of the list that a key takes."""
+    field = _field_at(_keys(error["loc"], table), table)
+    return in_words(error) if field is None else in_words(error, field.annotation)
+
+
+def _field_at(keys: list[Any], table: Mapping[str, Any]) -> FieldInfo | None:
+    """Return what the description of a key is."""
+    model = _model_at(keys[:-1], table) if keys else None
+    return None if model is None else model.model_fields.get(str(keys[-1]))
 
 
 def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
@@ -422,7 +437,7 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
         return f"{dotted}: unknown key; {hint}"
     if error["type"] == "missing":
         return f"{dotted}: missing; {_wanted(keys, table)}"
-    message = in_words(error)
+    message = _worded(error, table)
     if error["type"] == "tuple_type" and last in ("force_n", "move_mm"):
         message = "must name its components, such as {z = 1}"
     if error["type"] == "union_tag_invalid":
@@ -444,8 +459,7 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
 
 def _wanted(keys: list[Any], table: Mapping[str, Any]) -> str:
     """Return what a missing value may be."""
-    holder = _model_at(keys[:-1], table)
-    field = holder.model_fields.get(str(keys[-1])) if holder is not None else None
+    field = _field_at(keys, table)
     kinds = _models_in(field.annotation) if field is not None else []
     if len(kinds) > 1:
         tags = [(key, kind.model_fields[key].default) for kind in kinds for key in _tags(kind)]
@@ -468,8 +482,7 @@ def _dotted(keys: list[Any]) -> str:
 
 def _range(keys: list[Any], table: Mapping[str, Any], unit: str) -> str:
     """Return the allowed interval of a number, or an empty string."""
-    model = _model_at(keys[:-1], table)
-    field = model.model_fields.get(str(keys[-1])) if model and keys else None
+    field = _field_at(keys, table)
     if field is None:
         return ""
     low = high = None
