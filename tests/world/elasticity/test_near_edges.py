@@ -21,8 +21,9 @@ import pytest
 from standard_bodies import BLOCK, FINGER, REFERENCE, relative_error, traction_of
 
 from benchmarks.layered import Layered, bump_displacement
+from benchmarks.random_bodies import bracket, write_stl
 from twin.arrays import frozen
-from twin.parts.body import Block, Finger
+from twin.parts.body import Block, Finger, Solid
 from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.world.elasticity.coated import Ladder
@@ -106,6 +107,21 @@ def test_a_place_on_the_finger_costs_its_own_level():
         assert got.compliance.level == "coarse"
         assert error < got.error < 3.0 * error
         assert got.error < 3e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("at", [(-2.8, 1.1), (2.8, -1.7), (0.0, 0.0)])
+def test_an_edge_folded_inwards_is_stated_where_two_meshes_differ_little(at, tmp_path):
+    """An L held on its leg; beside it, two meshes differed by half of the coarse one's error."""
+    corners, _ = bracket(np.random.default_rng([5, 1]))
+    held, sensing = ({"normal": (0, 0, z), "within_deg": 5} for z in (1, -1))
+    body = Solid(file=write_stl(tmp_path / "bracket.stl", corners), held=held, sensing=sensing)
+    coarse, fine = (Compliance(body, RUBBER, level=level) for level in ("coarse", "fine"))
+    points = np.array([(0, 0, 1), (1, 0, 0.6), (0, -1, 1.5), (-1, 0.5, 0.5)])
+    points[:, :2] += at
+    load = tile(Traction.bump(at, 1.2, (0, 0, 1)), body)
+    got, estimate = coarse.answer(points, load)
+    assert relative_error(got, fine.displacement(points, load)) < estimate < 0.03
 
 
 # --- thin bonded blocks ---------------------------------------------------------------------------
