@@ -407,7 +407,8 @@ class Estimates:
         excess = _WHOLE * abs(counted / state.area_mm2 - 1.0)
         least = _CUT_STUCK / self._across(setup, state)
         if setup.is_free_form:  # its area is counted: patches stick as far as its edges are smooth
-            least = _CUT_STUCK * border.patch_share / 2.0 * (1.0 - border.ends_sharply)
+            share = border.patch_share * math.sqrt(border.longer)
+            least = _CUT_STUCK * share / 2.0 * (1.0 - border.ends_sharply)
         return stuck * max(excess, least) * _over(sideways, state.force_n)
 
     def _half_space(self, load: Load, points: Points) -> Points:
@@ -661,12 +662,16 @@ class _Border:
         return float(side / math.sqrt(self.state.area_mm2 / math.pi))
 
     @property
+    def longer(self) -> float:
+        """Its length over that of a disc of as many patches, at least 1."""
+        count = len(self.state.pressure_mpa)
+        return max(1.0, len(self.open_sides[0]) * math.sqrt(math.pi / count) / 8.0)
+
+    @property
     def force_error(self) -> float:
         """The error of the force as patches cut it: where it is sharp, pressure doesn't vanish;
         where it is smooth, it is the longer the narrower the contact is."""
-        count = len(self.state.pressure_mpa)
-        longer = len(self.open_sides[0]) * math.sqrt(math.pi / count) / 8.0
-        smooth = _CUT_FREE * max(1.0, longer) ** 1.5 * math.pi / count
+        smooth = _CUT_FREE * self.longer**1.5 * math.pi / len(self.state.pressure_mpa)
         return float(max(_EDGE * self.sharpness * self.patch_share, smooth))
 
     @property
