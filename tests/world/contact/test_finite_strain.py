@@ -336,17 +336,26 @@ def test_probe_held_along_a_normal_carries_less_force_its_gradient_is_a_slope_an
 
 
 @pytest.mark.slow
-def test_whole_block_under_a_flat_face_is_another_codes_slab():
-    """A cylinder on the mesh that square pillars and several probes get."""
-    case = next(one for one in TRUTH["cases"] if one.get("edge_mm") == 0.1)
-    press = twin.Press(probe=Cylinder(diameter_mm=5, edge_mm=0.1), force_n=(0, 0, case["force_n"]))
-    linear = made("linear")
+@pytest.mark.parametrize("edge_mm", [0.1, 0.06])
+def test_whole_block_under_a_flat_face_is_another_codes_slab(edge_mm):
+    """A cylinder on the mesh that square pillars and several probes get, where its rim is rounded to 0.25 or 0.3 mm.
+
+    On the second case's 4 mm of rubber that leaves 2 %.
+    """
+    case = next(one for one in TRUTH["cases"] if one.get("edge_mm") == edge_mm)
+    probe = Cylinder(diameter_mm=case["diameter_mm"], edge_mm=edge_mm)
+    press = twin.Press(probe=probe, force_n=(0, 0, case["force_n"]))
+    thick = case.get("thick_mm", 40.0)
+    linear = made("linear", **{"body.thickness_mm": thick})
     state = linear.press(press)
-    more = BodyStrain(press, linear.nominal.body, made().nominal.material, state, PLACES)
-    left, missed = off(case, more, PLACES)
-    assert left < 0.5 * missed
+    places = PLACES * [1.0, 1.0, min(1.0, thick / 8.0)]
+    more = BodyStrain(press, linear.nominal.body, made().nominal.material, state, places)
+    left, missed = off(case, more, places)
+    assert left < 0.55 * missed
     assert left < more.error.markers < 4.0 * left
-    assert more.indentation_mm / state.indentation_mm == pytest.approx(deeper(case), abs=2e-3)
+    sunk = abs(more.indentation_mm / state.indentation_mm - deeper(case))
+    assert sunk < more.error.indentation
+    assert sunk < (2e-3 if thick == 40.0 else 1e-2)
 
 
 @pytest.mark.slow

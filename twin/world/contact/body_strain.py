@@ -73,9 +73,10 @@ _COARSE = _Fineness(0.85, 0.8, 0.4, (3, 1))
 _WAY = 0.4
 """Most that a probe with friction moves sideways in a part of a step, over its contact's radius."""
 
-_LEAST_RIM = 0.1
+_LEAST_RIM, _COARSE_RIM = 0.1, 0.2
 """Least radius of a flat face's rim over its half width: a sharper one is solved with this radius,
-on which what linear theory leaves out hardly depends (docs/validity.md)."""
+on the coarser mesh with the other one. On rubber thicker than the face is wide what linear theory
+leaves out hardly depends on it (docs/validity.md)."""
 
 _TOLERANCE = 1.5e-3
 """What Newton's steps leave, and both meshes miss, over the largest displacement."""
@@ -93,9 +94,11 @@ class _Shares:
 
 
 _ROUND = _Shares(0.025, 0.08, 0.4)
-_SHARP = _Shares(0.09, 0.09, 0.6)
-"""Under spheres, and under cones and flat faces (docs/validity.md): from mesh to mesh of one body
-the change scatters four times as much as the error."""
+_SHARP = _Shares(0.11, 0.11, 0.7)
+_ROUNDED = _Shares(0.11, 0.11, 1.2)
+"""Under spheres, under cones and flat faces, and under faces that are solved with a rounder rim
+(docs/validity.md): from mesh to mesh of one body the change scatters four times as much as the
+error."""
 
 _RUBS_OVER_CUBE = 14.0
 """What friction adds to the error, over the cube of what linear theory leaves out: both meshes miss
@@ -139,7 +142,9 @@ class BodyStrain(FiniteStrain):
         path: Sequence[ContactState] = (),
     ) -> None:
         presses = (press.model_copy(update={"also": ()}), *press.also)
-        approaches = [_rounded(Approach.of_press(one, body)) for one in presses]
+        sharp = [Approach.of_press(one, body) for one in presses]
+        approaches = [_rounded(one, _LEAST_RIM) for one in sharp]
+        self._rounder = [_rounded(one, _COARSE_RIM) for one in sharp]
         axes = tuple(approach.axes for approach in approaches)
         problem = _unsolved(press, body, material, state, axes, path)
         if not problem and coarse:
@@ -176,6 +181,8 @@ class BodyStrain(FiniteStrain):
             watched = centre + size * np.linspace(0.3, 1.0, 8)[:, None] * inward
         round_ = all(isinstance(one.probe, Sphere) for one in presses)
         self._shares = _ROUND if round_ else _SHARP
+        if any(one is not made for one, made in zip(sharp, approaches, strict=True)):
+            self._shares = _ROUNDED
         self._first = _COARSE if coarse else _FINE
         super().__init__(axes, state, watched, self._solved, self._shares.change, _TOLERANCE)
 
@@ -207,10 +214,15 @@ class BodyStrain(FiniteStrain):
         fineness = _COARSE if coarser else self._first
         like = None if coarser or self._like is None else self._like._pair
 
+        contacts = self._contacts
+        if coarser:
+            pairs = zip(self._rounder, contacts, strict=True)
+            contacts = [(approach, near) for approach, (_, near) in pairs]
+
         # Mesh and contact.
         def wanted(points: Points) -> Floats:
             edges = np.full(len(points), np.inf)
-            for approach, near in self._contacts:
+            for approach, near in contacts:
                 for centre, size in near:
                     away = np.linalg.norm(points - centre, axis=1) - size
                     here = fineness.edge * size + fineness.growth * np.maximum(away, 0.0)
@@ -230,7 +242,7 @@ class BodyStrain(FiniteStrain):
                     self._rubs,
                     [(centre, _REACH * size) for centre, size in near],
                 )
-                for approach, near in self._contacts
+                for approach, near in contacts
             ]
             rubber = Rubber(mesh, self._body, self._material)
             modulus = self._material.youngs_modulus_mpa
@@ -386,12 +398,14 @@ def _under_patches(state: ContactState, points: Points) -> Bools:
     return np.asarray(away < 1.1 * patches.half_mm.max())
 
 
-def _rounded(approach: Approach) -> Approach:
-    """Return a probe at first touch whose face has a rim that is round enough."""
+def _rounded(approach: Approach, share: float) -> Approach:
+    """Return a probe at first touch whose face has a rim of this share of its half width, where its
+    own is too sharp."""
     probe = approach.probe
     if not isinstance(probe, Cylinder | Pillar):
         return approach
-    return approach.with_edge(max(probe.edge_mm, _LEAST_RIM * min(half_extent(probe))))
+    half = min(half_extent(probe))
+    return approach if probe.edge_mm >= _LEAST_RIM * half else approach.with_edge(share * half)
 
 
 def _from_rim(points: Points, approach: Approach) -> Floats:
