@@ -7,6 +7,7 @@ their motion in every other picture. Those that a scene may name are listed in
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -111,6 +112,12 @@ class CentreEstimator:
     around: Neighbourhood
     sd_px: Floats
     usual_sd_px: Floats
+
+    @property
+    def roughness_px(self) -> float:
+        """How far edges at rest lie outside the model's in their third harmonic: the median, px;
+        infinite where that is not measured."""
+        return math.inf
 
     @classmethod
     def at_rest(

@@ -181,9 +181,15 @@ brightness, change by chance (49 of 50, 89 of 90). What exceeds this is stated."
 SHRINKS = 1.5
 """Standard deviations of a radius up to which a marker has become smaller by chance."""
 
+LEAST_LIGHT = 3.0
+"""Standard deviations by which a marker may have more light than it seems to."""
+
 LOST_MOVES = 0.7
 """By which share of its radius a marker's centre moves at least, over the share of its light that
 something straight hides: of a disc's area by .86 to .9, of fits under JPEG by .65 to .9."""
+
+CONCAVE = 2.0
+"""Margin of the motion by a hidden part that a third harmonic allows, for concave edges."""
 
 TILTS = 0.5
 """Share of the motion by a changed slope of brightness that is an error of the centre: of beads in
@@ -252,7 +258,6 @@ class DiscFit(SoftWindow):
 
     @property
     def roughness_px(self) -> float:
-        """How far edges at rest lie outside the model's in their third harmonic: the median, px."""
         third = np.abs(self.templates.third)
         return float(np.nanmedian(third)) if np.isfinite(third).any() else np.inf
 
@@ -290,7 +295,7 @@ class DiscFit(SoftWindow):
             | {
                 "around": replace(around, rest_px=rest_px),
                 "sd_px": sd,
-                "usual_sd_px": np.hypot(np.sqrt(2.0) * sd, covered),
+                "usual_sd_px": np.sqrt(2.0 * (sd**2 + SD_FLOOR_PX**2) + covered**2),
                 "templates": templates,
             }
         )
@@ -538,8 +543,9 @@ class DiscFit(SoftWindow):
         axes_sd = np.hypot(KNOWN_OUTLINE, spread[:, :3].max(axis=1))
         away = np.abs(measured[rows, :3] - usual[:, :3]).max(axis=1)
         beyond = np.sqrt(np.fmax(away**2 - (DIFFERS * axes_sd) ** 2, 0.0))
-        if templates.coherent:
-            fitted[rows, DIFFERENCE] = radius[rows] * beyond
+        if templates.coherent:  # what hides a part also takes its light
+            most = self._light_lost(fitted, fine, LEAST_LIGHT)[rows]
+            fitted[rows, DIFFERENCE] = radius[rows] * np.fmin(beyond, most)
         few = doubted[rows] & ((beyond > 0.0) | ~taken[rows]) | cut[rows]
         if not few.any():
             return
@@ -579,20 +585,20 @@ class DiscFit(SoftWindow):
         part[:, [SCALE, FITTING]], part[:, SHORTFALL] = 1.0, 0.0
         part[:, DIFFERENCE] = 0.0
         if templates.coherent:  # a part was left out, but is it the one that is hidden?
-            lost = self._light_lost(fitted, fine)[rows] * ~cut[rows]
+            lost = self._light_lost(fitted, fine, -SHRINKS)[rows] * ~cut[rows]
             lacks = np.fmax(LOST_MOVES * radius[rows] * lost - moved, 0.0)
             part[:, DIFFERENCE] = lacks / np.sqrt(2.0)
         part[:, EDGE] = np.where(part[:, EDGE] < WHOLE_EDGE, LEAST_EDGE, 1.0)
         part[:, RESHAPED] = PART_IN_SIGHT
         fitted[rows[good]] = part[good]
 
-    def _light_lost(self, fitted: Floats, fine: Bools) -> Floats:
-        """Return (n,) by which share markers have less light than the ``fine`` ones (n,), beyond
-        chance: brightness times area, since rest."""
+    def _light_lost(self, fitted: Floats, fine: Bools, chance: float) -> Floats:
+        """Return (n,) by which share markers have less light than the ``fine`` ones (n,), plus
+        ``chance`` standard deviations: brightness times area, since rest."""
         rest = self.templates.rest
         light = fitted[:, LEVEL] * fitted[:, SCALE] ** 2 / (rest[:, LEVEL] * rest[:, SCALE] ** 2)
         low, middle, high = _quantiles(np.where(fine, light, np.nan), 0.25, 0.5, 0.75)
-        return np.asarray(np.fmax(1.0 - (light + SHRINKS * NORMAL * (high - low)) / middle, 0.0))
+        return np.asarray(np.fmax(1.0 - (light - chance * NORMAL * (high - low)) / middle, 0.0))
 
     def _from_last(self, picture: Picture, last_px: Pixels) -> Seen | None:
         """Fit around the last places, then once more where the neighbours' motion predicts; None
@@ -657,6 +663,7 @@ class DiscFit(SoftWindow):
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
         cut = self._unseen_cut(fitted, sd, factor)
+        cut += 2.0 * SD_FLOOR_PX**2
         sd = np.sqrt(_edge_sds(fitted, templates, rest_sd, sd, factor) ** 2 + cut)
         since = SINCE if self.rougher else 1.0
         return Seen(shift_px=shift, sd_px=since * sd, state=state, coherence=since * factor)
@@ -687,8 +694,9 @@ class DiscFit(SoftWindow):
             away[rows] -= usual[:, 0]
             limit[rows] = np.fmax(spread[:, 0], sd[rows] / np.sqrt(2.0))
         away[fitted[:, RESHAPED] == PART_IN_SIGHT] = 0.0
-        beyond = np.fmax(away, 0.0) ** 2 - (SHRINKS * limit) ** 2
-        return np.asarray(2.0 * np.fmax(beyond, 0.0))
+        beyond = np.fmax(np.fmax(away, 0.0) ** 2 - (SHRINKS * limit) ** 2, 0.0)
+        most = _most_moved(fitted, self.templates, sd, np.sqrt(beyond))
+        return np.asarray(np.fmin(2.0 * beyond, most))
 
 
 def _quantiles(values: Floats, *shares: float) -> list[float]:
@@ -744,7 +752,7 @@ def _centre_sds(fitted: Floats, usual_misfit: float) -> Floats:
     fit is bad; NaN where there was none."""
     bad = np.maximum(fitted[:, MISFIT] / usual_misfit - UNUSUAL, 0.0)
     variance = 0.5 * (fitted[:, VAR_X] + fitted[:, VAR_Y])
-    return np.asarray(np.sqrt(variance * (1.0 + DOUBT * bad) + SD_FLOOR_PX**2))
+    return np.asarray(np.sqrt(variance * (1.0 + DOUBT * bad)))
 
 
 def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
@@ -770,6 +778,21 @@ def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
     if counts.sum() >= SURE:
         least = min(max(float(np.sqrt(np.mean(score**2))), LEAST_COHERENCE), 1.0)
     return max(bounded_rms(score), least)
+
+
+def _most_moved(fitted: Floats, templates: Templates, sd: Floats, shrunk: Floats) -> Floats:
+    """Return (n,) the largest variance of a shift, per axis, px^2, by a part of the edge that is
+    hidden, and that makes the mean radius smaller by ``shrunk`` (n,) px.
+
+    A straight cut of the half angle q, q^3 = 3 pi shrunk / radius, moves the edge in its third
+    harmonic by 1 - .8 q^2 times as much as in its first, which is motion: so the third harmonic,
+    and what hides in its noise ``sd`` (n,), bound the motion. Concave ones move it by less.
+    """
+    shape = templates.shape
+    radius = np.sqrt(shape[:, 0] * shape[:, 2])
+    share = np.fmax(1.0 - 0.8 * np.cbrt(3.0 * np.pi * shrunk / radius) ** 2, 1e-3)
+    third = np.sqrt(_square(fitted[:, THIRD] - templates.third)) + EVEN * sd
+    return np.asarray(0.5 * (CONCAVE * third * templates.third_weakened / share) ** 2)
 
 
 def _edge_sds(
@@ -808,7 +831,8 @@ def _edge_sds(
     beyond += TILTS**2 * tilted
     # Where noise hangs together nothing hidden can be told from it: what differs is stated.
     if templates.coherent:
-        beyond += np.fmax(fitted[:, DIFFERENCE], 0.0) ** 2
+        differs = np.fmax(fitted[:, DIFFERENCE], 0.0)
+        beyond += np.fmin(differs**2, _most_moved(fitted, templates, sd, differs))
     covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
     return np.asarray(np.sqrt(sd**2 + covered**2 + beyond))
 
