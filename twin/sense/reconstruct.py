@@ -25,7 +25,8 @@ below `FAINTEST` has no force. The average over neighbours keeps a load together
 method is FOCUSS (I. F. Gorodnitsky and B. D. Rao, IEEE Trans. Signal Process. 45 (1997) 600), which
 concentrates a load in single sites. The weight is the most likely one, because the prior has the
 shape of the load. Forces are no longer linear in the shifts; standard deviations are those for this
-prior.
+prior. With fewer data than unknowns, as of one layer, markers next to a load are not believed to
+their noise (`MODEL_ERROR`).
 
 **Bumped camera.** A shift of the camera adds the same two numbers to every marker. Generalised
 least squares under the smooth prior estimates them. A load much wider than the view has the same
@@ -516,12 +517,34 @@ def _localised(problem: Problem, force_n: Floats) -> Problem:
     return replace(problem, base=base, factors=factors)
 
 
+MODEL_ERROR = 0.08
+"""Error of the transfer matrix where a marker has moved farthest, as a share of its shift: how a
+force is spread within a site is not known, and moves the markers next to it. Elsewhere the share
+falls with the square of the shift."""
+
+
+def _with_model_error(problem: Problem, whole: Floats) -> tuple[Problem, Floats]:
+    """Return the problem and its whitened data with the transfer matrix' error in the noise, if
+    there are fewer data than unknowns: else data average it out."""
+    base = problem.base
+    if len(whole) >= len(base.penalty):
+        return problem, whole
+    moved = problem.noise_px * np.hypot(*whole.reshape(-1, 2).T)
+    share = MODEL_ERROR * (moved / max(float(moved.max()), 1e-12)) ** 2
+    noise = np.hypot(problem.noise_px, share * moved)
+    less = np.repeat(problem.noise_px / noise, 2)
+    transfer = base.transfer * (less * float(noise.mean()) / problem.size_px)[:, None]
+    base = replace(base, transfer=transfer, gram={}, quadratics={})
+    return replace(problem, noise_px=noise, base=base), whole * less
+
+
 def _solved_locally(
     problem: Problem, whole: Floats, weight: float | WeightRule, robust: bool, camera: bool
 ) -> tuple[_Linear, Floats]:
     """Solve with forces expected where the smooth solution, then the local one, has some; and (k,
     3) deviations, N."""
     found = smooth = _solved(problem, whole, "auto", robust, camera)
+    problem, whole = _with_model_error(problem, whole)
     rule = "likelihood" if weight == "auto" else weight
     for _ in range(TURNS):
         if not found.force_n.any():
