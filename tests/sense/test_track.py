@@ -9,7 +9,7 @@ from drawn import LAYOUT, SIZE, flat_layout, joined, picture
 
 from benchmarks.conditions import Card, film, hidden, jpeg, mosaic, stretches
 from benchmarks.discs import bound_px, cover, expose, scene
-from twin import Environment, Press, Sensor, Sphere, load_scene
+from twin import Sensor, load_scene
 from twin.errors import InputError
 from twin.sense.track import Tracker, analyse_rest, track, track_frame
 
@@ -142,18 +142,6 @@ def test_a_pressed_pad_states_a_true_deviation_under_every_camera(camera):
         assert strained.sum() > 10
         assert 0.5 < np.sqrt(np.mean((error / found.sd_px[:, None]) ** 2)) < 1.5
         assert np.sqrt(np.mean(found.sd_px[strained] ** 2)) < 0.06
-
-
-@pytest.mark.slow
-def test_forces_of_one_layer_are_found_where_markers_know_more_than_the_sites():
-    """Fields were .6 to .7 off, as markers next to a force were believed to their noise."""
-    environment, errors = Environment(load_scene("gelpad_press")), []
-    for place in ((3.0, 1.0), (-2.0, 4.0), (-4.0, -1.0), (1.0, -3.0)):
-        press = Press(probe=Sphere(diameter_mm=6), at_mm=place, force_n=(0, 0, 0.5))
-        errors.append([environment.step(press).error[key] for key in ("field_error", "total_force_error")])
-    field, total = np.mean(errors, axis=0)
-    assert field < 0.6
-    assert total < 0.07
 
 
 def test_light_from_one_side_does_not_shift_the_centres():

@@ -15,6 +15,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
 from twin.errors import RecipeError, did_you_mean
 
@@ -259,14 +260,12 @@ WORDS = {
 """What the validation library's errors say, in the words of a recipe."""
 
 
-def in_words(error: Mapping[str, Any], annotation: Any = tuple[float, float]) -> str:
-    """Return an error of the validation library in the words of a recipe.
-
-    ``annotation`` is that of the key; the default is a list of two numbers.
-    """
+def in_words(error: Mapping[str, Any], field: FieldInfo | None = None) -> str:
+    """Return an error of the validation library in the words of a recipe; ``field`` describes the
+    key, whose list is the example."""
     kind = str(error["type"])
     if kind == "tuple_type":
-        return f"must be a list, such as {_example(annotation) or '[0, 0]'}"
+        return f"must be a list, such as {_example(field and field.annotation) or '[0, 0]'}"
     facts = error.get("ctx") or {}
     if kind in ("too_short", "too_long") and "field_type" in facts:
         bound = (
@@ -300,8 +299,7 @@ def _complaint(error: dict[str, Any], part: type[Part], known: Sequence[str]) ->
         str(k) for k in error["loc"] if k != "constrained-float"
     )  # no key: a union's number
     unit = unit_of(str(error["loc"][-1])) if error["loc"] else ""
-    field = part.model_fields.get(key)
-    message = in_words(error, field.annotation if field else tuple[float, float])
+    message = in_words(error, part.model_fields.get(key))
     if error["type"] == "extra_forbidden" and len(error["loc"]) == 1:
         message += f"; {did_you_mean(key, known, 'known are ' + ', '.join(known), 0.5)}"
     in_message = isinstance(error["input"], dict) or error["type"] in ("missing", "extra_forbidden")

@@ -662,9 +662,8 @@ class DiscFit(SoftWindow):
             factor = max(coherence, factor) if factor > 1.0 else coherence
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
-        cut = self._unseen_cut(fitted, sd, factor)
-        cut += 2.0 * SD_FLOOR_PX**2
-        sd = np.sqrt(_edge_sds(fitted, templates, rest_sd, sd, factor) ** 2 + cut)
+        more = self._unseen_cut(fitted, sd, factor) + 2.0 * SD_FLOOR_PX**2
+        sd = np.sqrt(_edge_sds(fitted, templates, rest_sd, sd, factor) ** 2 + more)
         since = SINCE if self.rougher else 1.0
         return Seen(shift_px=shift, sd_px=since * sd, state=state, coherence=since * factor)
 

@@ -5,9 +5,9 @@ kept small, and how, is listed in `METHODS`; `twin.sense.reconstruct` solves.
 
 **Weights of the markers** are those of the rest picture. Standard deviations differ a little from
 picture to picture, but each set of weights needs a factorisation of its own (145 ms of CPU time on
-the flat block; a solve takes 5). Lost markers, and markers much noisier than at rest, are corrected
-exactly (`twin.sense.regularisation`). So a solution depends on nothing but the rest picture and the
-picture.
+the flat block; a solve takes 5), or one that follows from that of all markers alike (`_base`). Lost
+markers, and markers much noisier than at rest, are corrected exactly (`twin.sense.regularisation`).
+So a solution depends on nothing but the rest picture and the picture.
 """
 
 from __future__ import annotations

@@ -270,19 +270,18 @@ class Tracker:
         )
         self._last_px: Pixels | None = None
         self._before = as_picture(rest_image, "the rest picture").copy()
-        self._compared = 0
+        rough = min(group.roughness_px for group in self.rest.groups) > ROUGH_PX
+        self._left_to_compare = COMPARED if rough else 0
 
     @one_blas_thread()
     def track(self, image: Picture) -> Found:
         """Measure the motion between rest and the next picture of the sequence."""
-        if self._compared < COMPARED and not self.rest.film:
+        if self._left_to_compare and not self.rest.film:
             picture = as_picture(image, "the picture")
             if picture.shape == self._before.shape:
-                rough = min(group.roughness_px for group in self.rest.groups) > ROUGH_PX
-                film = rough and Flaws.repeats_blocks(self._before, picture)
-                self.rest = replace(self.rest, film=film)
+                self.rest = replace(self.rest, film=Flaws.repeats_blocks(self._before, picture))
                 self._before[:] = picture
-            self._compared += 1
+            self._left_to_compare -= 1
         found = track_frame(self.rest, image, self._last_px)
         self._last_px = found.shift_px if found.seen.all() else self._starts(found)
         return found

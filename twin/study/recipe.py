@@ -412,8 +412,7 @@ def _nearest(errors: list[dict[str, Any]], table: Mapping[str, Any]) -> list[dic
 
 def _worded(error: dict[str, Any], table: Mapping[str, Any]) -> str:
     """Return `in_words` with an example of the list that a key takes."""
-    field = _field_at(_keys(error["loc"], table), table)
-    return in_words(error) if field is None else in_words(error, field.annotation)
+    return in_words(error, _field_at(_keys(error["loc"], table), table))
 
 
 def _field_at(keys: list[Any], table: Mapping[str, Any]) -> FieldInfo | None:

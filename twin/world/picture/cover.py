@@ -268,29 +268,36 @@ class SeeThrough:
             np.linspace(-more * size - 0.5, (1 + more) * size - 0.5, _CELLS + 1)
             for size in (camera.width_px, camera.height_px)
         )
-        # The whole picture, then the part of it that shows the probe.
-        for last in (probe is None, True):
-            nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-            met, exits = _Exits.of(nodes, scene)
-            places = exits.places
-            if probe is None:
-                normals = scene.body.piece_normals(places)[:, 0]
-            else:
-                hit, _, _, places, normals = exits.meet(probe, np.full(len(places), np.inf))
-                met[np.delete(np.flatnonzero(met), hit)] = False
-            grid = met.reshape(len(rows), len(columns))
-            if last or not met.any():
-                break
-            columns, rows = (
-                np.linspace(
-                    nodes[max(some[0] - 1, 0)], nodes[min(some[-1] + 1, _CELLS)], _CELLS + 1
-                )
-                for nodes, some in (
-                    (columns, np.flatnonzero(grid.any(axis=0))),
-                    (rows, np.flatnonzero(grid.any(axis=1))),
-                )
-            )
-        return places, normals, _between(grid)
+        places, normals, met = _seen_at(columns, rows, scene, probe)
+        if probe is not None and met.any():  # once more, in the part of the picture that shows it
+            columns = _around(columns, met, 0)
+            rows = _around(rows, met, 1)
+            places, normals, met = _seen_at(columns, rows, scene, probe)
+        return places, normals, _between(met)
+
+
+def _seen_at(
+    columns: Floats, rows: Floats, scene: Scene, probe: Load.Placed | None
+) -> tuple[Points, Floats, Bools]:
+    """Return the (n, 3) places and normals that rays through a grid of the picture meet, and which
+    (r, c) of them do; for a probe or the surface as in `SeeThrough.triangles`."""
+    nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    met, exits = _Exits.of(nodes, scene)
+    places = exits.places
+    if probe is None:
+        normals = scene.body.piece_normals(places)[:, 0]
+    else:
+        hit, _, _, places, normals = exits.meet(probe, np.full(len(places), np.inf))
+        met[np.delete(np.flatnonzero(met), hit)] = False
+    return places, normals, met.reshape(len(rows), len(columns))
+
+
+def _around(nodes: Floats, met: Bools, across: int) -> Floats:
+    """Return as many nodes of one axis of a grid, from one before the first that has any that are
+    ``met`` (r, c) to one behind the last; ``across`` is the other axis."""
+    there = np.flatnonzero(met.any(axis=across))
+    first, last = max(there[0] - 1, 0), min(there[-1] + 1, len(nodes) - 1)
+    return np.linspace(nodes[first], nodes[last], len(nodes))
 
 
 def _between(met: Bools) -> Ints:
