@@ -16,14 +16,13 @@ is an error of the place.
 Validity of `fit_visible`: something of the ground's colour in front of the marker; a fifth of the
 edge's information left. What is brighter than the ground, as a glint, is not recognised: such fits
 are refused by their residuals.
-
-`fit_visible` is not compiled: few markers of few pictures need it.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -257,14 +256,6 @@ def _fit_shapes(
         fine[k] = good
 
 
-def _inverse_form(axes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the (k, 1) xx, xy, yy of the inverse squares of symmetric matrices (k, 3)."""
-    xx, xy, yy = axes.T[:, :, None]
-    a, b, c = xx * xx + xy * xy, xy * (xx + yy), yy * yy + xy * xy
-    determinant = np.maximum(a * c - b * b, 1e-6)
-    return c / determinant, -b / determinant, a / determinant
-
-
 STRETCHES = np.array([[1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Growth, stretch along the axes and the diagonals, as changes of the semi-axes xx, xy, yy."""
 
@@ -329,14 +320,12 @@ def fit_visible(
     reach = float(np.max(expected.axes[:, [0, 2]].max(axis=1) + expected.blur)) + 2.0
     offset = disc_offsets(reach)
     middle = np.rint(start_px).astype(np.int64)
-    place = middle[:, None] + offset
-    signal, use, inside = _signal(picture, templates, place)
+    signal, use, inside = _signal(picture, templates, middle[:, None] + offset)
     far = np.hypot(*offset.T) > reach - 1.5
-    ground = np.array([_median(s[u & far]) for s, u in zip(signal, use, strict=True)])
-    blurred, length = float(np.max(expected.blur)), (offset**2).sum(axis=1).astype(np.float32)
-    apart = length[:, None] + length - 2.0 * (offset @ offset.T.astype(np.float32))  # squared
-    beside = (apart < max(BESIDE_PX, BESIDE * blurred) ** 2).astype(np.float32)
-    around = (apart <= max(AROUND_PX, AROUND * blurred) ** 2).astype(np.float32)
+    ground = _medians(signal[:, far], use[:, far])
+    blurred = float(np.max(expected.blur))
+    within = max(BESIDE_PX, BESIDE * blurred), max(AROUND_PX, AROUND * blurred)
+    beside, around = (_pairs(int(reach**2), math.ceil(distance**2)) for distance in within)
     number = np.maximum(use @ beside, 1.0) ** (1.0 if templates.coherent else 0.5)
     spread = np.stack([expected.level_sd, *3 * [expected.axes_sd]], axis=1)
     held = np.concatenate([np.zeros((len(rows), 3)), spread**-2.0], axis=1)
@@ -345,39 +334,26 @@ def fit_visible(
     change, hidden = np.zeros((len(rows), 3)), np.zeros(signal.shape, np.bool_)
     radius = np.sqrt(np.maximum(expected.axes[:, 0] * expected.axes[:, 2], 0.25))
     most = LARGEST_STEP * radius[:, None]
+    pixels, matrix = np.empty((len(rows), 4, len(offset))), np.empty((len(rows), FREE, FREE))
+    right, work = np.empty((len(rows), FREE)), np.empty((FREE + 2, len(offset)))
     for turn in range(LAST):
-        # the model and its slopes along the parameters
-        terms = slope_terms(centre, picture.shape)
-        slope = known[:, 3:5] + terms @ templates.slopes.T
+        slope = known[:, 3:5] + slope_terms(centre, picture.shape) @ templates.slopes.T
         axes = expected.axes + change @ STRETCHES
-        cover, light, tilt, normal = _model(place - centre[:, None], axes, slope, known, expected)
-        model, tilt = cover * light, level[:, None] * tilt
-        residual = signal - ground[:, None] - level[:, None] * model
-        share = np.clip(model, 0.0, 1.0)
-        expected_square = noise[0] + (noise[1] - noise[0]) * share
-        edge = 4.0 * np.clip(cover * (1.0 - cover), 0.0, 0.25)
-        variance = expected_square + (IMPERFECT * level[:, None]) ** 2 * edge
-        # missing light counts less than too much of it; later it is left out
-        if turn < FIRST:
-            limit = np.maximum(ratio * level, 4.0 * np.sqrt(noise[1]))[:, None]
-            trust = np.where(residual > 0.0, 1.0, 1.0 / (1.0 + (residual / limit) ** 2) ** 2)
-            weight = use * trust / variance
-            ratio *= NARROWER
-        else:
-            if turn in (FIRST, LATER):
-                score = (use * residual / np.sqrt(variance)) @ beside / number
-                lacks = (score < -LACKS) & use & (cover > 0.03) & ~expected.bare[:, None]
-                hidden = lacks @ around > 0.0
-            odd = residual**2 / (OUTLIER_SD**2 * variance)
-            weight = (use & ~hidden) / variance / (1.0 + odd) ** 2
+        marks = [middle - centre, axes, slope, known[:, 5:6], expected.blur[:, None]]
+        limit = np.maximum(ratio * level, 4.0 * np.sqrt(noise[1])) if turn < FIRST else 0.0 * level
+        marks += [ground[:, None], level[:, None], limit[:, None]]
+        model = np.concatenate(marks, axis=1)
+        ratio *= NARROWER
+        if turn in (FIRST, LATER):
+            _equations(signal, use, hidden, offset, model, noise, pixels, work, matrix, right)
+            cover, residual, _, expected_square = pixels.transpose(1, 0, 2)
+            edge = 4.0 * np.clip(cover * (1.0 - cover), 0.0, 0.25)
+            variance = expected_square + (IMPERFECT * level[:, None]) ** 2 * edge
+            score = (use * residual / np.sqrt(variance)) @ beside / number
+            lacks = (score < -LACKS) & use & (cover > 0.03) & ~expected.bare[:, None]
+            hidden = lacks @ around > 0.0
+        _equations(signal, use, hidden, offset, model, noise, pixels, work, matrix, right)
         # a Gauss-Newton step, with what is known of level and outline
-        x, y = normal
-        rows_ = [tilt * x, tilt * y, np.ones_like(tilt), model]
-        rows_ += [tilt, tilt * (x * x - y * y), tilt * 2.0 * x * y]
-        slopes = np.stack(rows_, axis=1)
-        weighted = slopes * weight[:, None]
-        matrix = weighted @ np.swapaxes(slopes, 1, 2)
-        right = (weighted @ residual[:, :, None])[:, :, 0]
         matrix[:, range(FREE), range(FREE)] += held + 1e-9
         away = np.concatenate([(level - expected.level)[:, None], change], axis=1)
         right[:, 3:] -= held[:, 3:] * away
@@ -390,9 +366,9 @@ def fit_visible(
             break
     used = use & ~hidden
     count = used.sum(axis=1)
+    cover, residual, information, expected_square = pixels.transpose(1, 0, 2)
     squares = (residual**2 * used / expected_square).sum(axis=1)
     covariance = np.linalg.inv(matrix)
-    information = tilt**2
     every = np.maximum(information.sum(axis=1) * templates.sites.mean(), 1e-9)
     fitted = np.full((len(rows), COLUMNS), np.nan)
     fitted[:, CENTRE], fitted[:, LEVEL], fitted[:, GROUND] = centre, level, ground
@@ -409,8 +385,87 @@ def fit_visible(
     return fitted
 
 
-def _median(values: Floats) -> float:
-    return float(np.median(values)) if len(values) else 0.0
+@lru_cache(maxsize=16)
+def _pairs(disc_square: int, square: int) -> Floats:
+    """Return (m, m) 1 where two pixels of a disc are nearer to each other than the root of
+    ``square``, else 0; ``disc_square`` is the disc's squared radius."""
+    offset = disc_offsets(math.sqrt(disc_square + 0.5))
+    length = (offset**2).sum(axis=1)
+    apart = length[:, None] + length - 2 * (offset @ offset.T)
+    return np.asarray(apart < square, np.float64)
+
+
+def _medians(values: Floats, use: Bools) -> Floats:
+    """Return (k,) medians of those of ``values`` (k, m) that are to be used; 0 where none is."""
+    ranked = np.sort(np.where(use, values, np.nan), axis=1)  # NaN come last
+    count, rows = use.sum(axis=1), np.arange(len(values))
+    middle = 0.5 * (ranked[rows, (count - 1) // 2] + ranked[rows, count // 2])
+    return np.asarray(np.nan_to_num(middle))
+
+
+@njit(cache=True, fastmath=True)
+def _equations(signal, use, hidden, offset, model, noise, pixels, work, matrix, right):
+    """Fill the normal equations of a Gauss-Newton step, ``matrix`` (k, `FREE`, `FREE`) and
+    ``right`` (k, `FREE`), and ``pixels`` (k, 4, m): the covered share, what the model lacks, the
+    information, and the noise's variance.
+
+    Pixels' brightness ``signal``, which of them count (``use``) and which are ``hidden`` (k, m) are
+    at ``offset`` (m, 2) from a whole pixel. ``model`` (k, 12) has that pixel from the centre;
+    semi-axes xx, xy, yy; slope x, y; bulge; half width of the blur; ground; level; and how much
+    light may be missing, 0 for no such limit. ``work`` (`FREE` + 2, m) is room.
+    """
+    for k in range(len(signal)):
+        m = model[k]
+        xx, xy, yy = m[2], m[3], m[4]
+        a, b, c = xx * xx + xy * xy, xy * (xx + yy), yy * yy + xy * xy
+        determinant = max(a * c - b * b, 1e-6)
+        xx, xy, yy = c / determinant, -b / determinant, a / determinant
+        middle_x, middle_y, slope_x, slope_y, bulge = m[0], m[1], m[5], m[6], m[7]
+        per_blur, ground, level, limit = 1.0 / m[8], m[9], m[10], m[11]
+        lenient = 1.0 / (limit * limit) if limit > 0.0 else 0.0
+        strict = 1.0 - (limit > 0.0)
+        steeper, imperfect = noise[1] - noise[0], (IMPERFECT * level) ** 2
+        for i in range(len(offset)):
+            x = offset[i, 0] + middle_x
+            y = offset[i, 1] + middle_y
+            ax, ay = xx * x + xy * y, xy * x + yy * y
+            squared = ax * x + ay * y + 1e-6
+            per_steep = 1.0 / math.sqrt(ax * ax + ay * ay + 1e-8)
+            v = min(max((math.sqrt(squared) - squared) * per_steep * per_blur, -1.0), 1.0)
+            v2 = v * v
+            cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
+            light = 1.0 + slope_x * x + slope_y * y + bulge * min(squared, 1.0)
+            tilt = level * light * 15 / 16 * (1.0 - v2) * (1.0 - v2) * per_blur
+            residual = signal[k, i] - ground - level * cover * light
+            expected = noise[0] + steeper * min(max(cover * light, 0.0), 1.0)
+            variance = expected + imperfect * 4.0 * min(max(cover * (1.0 - cover), 0.0), 0.25)
+            # missing light counts less than too much of it; later it is left out
+            square = residual * residual
+            odd = strict * square / (OUTLIER_SD**2 * variance)
+            odd += lenient * square * (residual < 0.0)
+            seen = use[k, i] and not (strict > 0.0 and hidden[k, i])
+            trust = seen / (variance * (1.0 + odd) * (1.0 + odd))
+            nx, ny = ax * per_steep, ay * per_steep
+            pixels[k, 0, i], pixels[k, 1, i] = cover, residual
+            pixels[k, 2, i], pixels[k, 3, i] = tilt * tilt, expected
+            work[0, i] = tilt * nx
+            work[1, i] = tilt * ny
+            work[2, i] = 1.0
+            work[3, i] = cover * light
+            work[4, i] = tilt
+            work[5, i] = tilt * (nx * nx - ny * ny)
+            work[6, i] = tilt * 2.0 * nx * ny
+            work[7, i] = residual
+            work[8, i] = trust
+        for a in range(FREE):
+            for b in range(a, FREE + 1):
+                total = 0.0
+                for i in range(len(offset)):
+                    total += work[8, i] * work[a, i] * work[b, i]
+                if b == FREE:
+                    right[k, a] = total
+                else:
+                    matrix[k, a, b] = matrix[k, b, a] = total
 
 
 def _signal(picture: Picture, templates: Templates, place: Ints) -> tuple[Floats, Bools, Bools]:
@@ -426,22 +481,3 @@ def _signal(picture: Picture, templates: Templates, place: Ints) -> tuple[Floats
     for other in templates.others.astype(float):
         use &= pixels @ other[:3] <= other[3]
     return pixels @ own[:3] - own[3], np.asarray(use), np.asarray(inside)
-
-
-def _model(
-    off: Floats, axes: Floats, slope: Floats, known: Floats, expected: Expected
-) -> tuple[Floats, Floats, Floats, tuple[Floats, Floats]]:
-    """Return, at offsets (k, m, 2) from the centres, the covered share, the light on it, the slope
-    of the edge and its normal; as `twin.sense.template` has it, for a level of 1."""
-    dx, dy = off[:, :, 0], off[:, :, 1]
-    xx, xy, yy = _inverse_form(axes)
-    ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
-    squared = ax * dx + ay * dy + 1e-6
-    steep = np.sqrt(ax * ax + ay * ay + 1e-8)
-    blur = expected.blur[:, None]
-    v = np.clip((np.sqrt(squared) - squared) / steep / blur, -1.0, 1.0)
-    v2 = v * v
-    cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
-    fall = 15 / 16 * (1.0 - v2) ** 2
-    light = 1.0 + slope[:, :1] * dx + slope[:, 1:] * dy + known[:, 5:6] * np.minimum(squared, 1.0)
-    return cover, light, light * fall / blur, (ax / steep, ay / steep)

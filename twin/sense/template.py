@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -32,7 +32,7 @@ LANES = 16
 
 
 def disc(radius: float) -> tuple[Ints, Ints]:
-    """Return the pixels within ``radius``, px.
+    """Return the pixels within ``radius``, px; not to be written to.
 
     Returns
     -------
@@ -41,9 +41,15 @@ def disc(radius: float) -> tuple[Ints, Ints]:
     runs
         (rows, 3) row, first column and number of its pixels.
     """
-    reach = int(np.ceil(radius))
+    return _disc(int(radius**2))
+
+
+@lru_cache(maxsize=64)
+def _disc(square: int) -> tuple[Ints, Ints]:
+    """Return `disc` for a squared radius, of which pixels' squared distances need no fraction."""
+    reach = math.isqrt(square)
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    inside = column**2 + row**2 <= radius**2
+    inside = column**2 + row**2 <= square
     offset = np.stack([column[inside], row[inside]])
     rows, first, count = np.unique(offset[1], return_index=True, return_counts=True)
     runs = np.stack([rows, offset[0, first], count], axis=1)
