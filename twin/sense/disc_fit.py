@@ -402,11 +402,11 @@ class DiscFit(SoftWindow):
         known, rows = templates.shape, np.flatnonzero(odd)
         radius = np.full(len(known), np.nan)
         radius[rows] = np.sqrt(known[rows, 0] * known[rows, 2] - known[rows, 1] ** 2)
-        blur, largest = float(np.nanmedian(known[:, 6])), float(np.nanmax(radius))
+        bulge, blur = templates.usual_shape[5:7].tolist()
+        largest = float(np.nanmax(radius))
         clear = max(self.around.spacing_px - largest - blur, largest + blur)
         reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
         seen = (picture, templates.own, templates.others, templates.sites, places)
-        bulge = float(np.nanmedian(known[:, 5]))
         shape = fit_shapes(*seen, radius, reach, templates.noise, blur, bulge, free_blur=True)
         shape[:, 3:6] = known[:, 3:6]
         # These shapes are templates of a fit like all others.
@@ -719,11 +719,12 @@ def _square(vectors: Floats) -> Floats:
 def _medians(values: Floats, axis: int) -> Floats:
     """Return the medians along an axis of what is not NaN: ten times as fast as NumPy's for a few
     rows."""
-    ranked = np.sort(values, axis=axis)  # NaN come last
-    count = np.isfinite(values).sum(axis=axis, keepdims=True)
-    low, high = np.maximum(count - 1, 0) // 2, count // 2
-    middle = [np.take_along_axis(ranked, place, axis) for place in (low, high)]
-    return np.asarray(0.5 * (middle[0] + middle[1]).squeeze(axis))
+    ranked = np.sort(values.swapaxes(axis, -1))  # NaN come last
+    count = np.isfinite(ranked).sum(axis=-1)
+    flat = ranked.ravel()
+    first = np.arange(count.size).reshape(count.shape) * ranked.shape[-1]
+    middle = flat[first + np.maximum(count - 1, 0) // 2] + flat[first + count // 2]
+    return np.asarray(0.5 * middle)
 
 
 def _of_neighbours(

@@ -214,14 +214,10 @@ class Problem:
     def in_classes(noise: Floats) -> Floats:
         """Return (u,) noise per marker, px: the same for all where it hardly differs, else in
         classes."""
-        low, high = noise.min(), noise.max()
-        even = high <= EVEN_NOISE * low
-        if not even:
-            low, most = np.quantile(noise, [0.1, 0.9])
-            even = most <= EVEN_NOISE * low and high <= 2 * EVEN_NOISE * low
-        if even:
+        least, low, usual, most, high = np.quantile(noise, [0.0, 0.1, 0.5, 0.9, 1.0])
+        even = most <= EVEN_NOISE * low and high <= 2 * EVEN_NOISE * low
+        if even or high <= EVEN_NOISE * least:
             return np.full(len(noise), np.sqrt(np.mean(noise**2)))
-        usual = float(np.median(noise))
         return np.asarray(usual * CLASS ** np.rint(np.log(noise / usual) / np.log(CLASS)))
 
 

@@ -44,6 +44,10 @@ FLAT = 1e-8
 more unknowns than markers give data, small weights all explain them without noise, and round-off
 would choose."""
 
+LEAST_RATIO = 1e-5
+"""Ratio of singular values down to which they follow from their squares, the smallest to 2e-6 of
+itself. Forces of the finger (6e-5, weights of 1e-8 of the largest square) change by 5e-11."""
+
 ROBUSTNESS = 0.3
 LIKELY = 2.0
 """What the most likely weight is raised by where none is given."""
@@ -193,13 +197,20 @@ class Factors:
     def of_some(self, rows: Bools, scale: Floats) -> Factors:
         """Return the factors of some rows of the matrix, (m,), each times its scale (u,).
 
-        Where data are fewer than unknowns, this takes half the time of `of`.
+        Where data are fewer than unknowns, this takes a quarter of the time of `of`: most by the
+        squares of the singular values, unless these are too far apart for double precision.
         """
         part = scale[:, None] * (self.left[rows] * self.singular)
-        few = len(part) <= len(self.singular)
-        left, singular, right = scipy.linalg.svd(part, full_matrices=few)
-        back = self.back @ right.T
-        count = len(singular)
+        count = min(part.shape)
+        right = np.linalg.eigh(part.T @ part)[1][:, ::-1]
+        left = part @ right[:, :count]
+        singular = np.sqrt((left**2).sum(axis=0))
+        if count and singular.min() > LEAST_RATIO * singular.max():
+            left = left / singular
+        else:
+            left, singular, across = scipy.linalg.svd(part, full_matrices=count == len(part))
+            right = across.T
+        back = self.back @ right
         return Factors(
             left=left,
             singular=singular,

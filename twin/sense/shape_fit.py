@@ -277,7 +277,10 @@ BESIDE_PX, BESIDE, AROUND_PX, AROUND = 1.5, 0.45, 2.1, 0.6
 """How far neighbours are, and around a hidden pixel those that are not used as the blur reaches
 them: px, and shares of the blur's half width where that is more."""
 
-SETTLED_PX, LARGEST_STEP = 2e-3, 0.4
+SETTLED_PX = 2e-3
+
+LARGEST_STEPS = np.array([0.4, 0.4, np.inf, np.inf, 0.1, 0.1, 0.1])
+"""Of `FREE`, over the radius."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -329,11 +332,12 @@ def fit_visible(
     number = np.maximum(use @ beside, 1.0) ** (1.0 if templates.coherent else 0.5)
     spread = np.stack([expected.level_sd, *3 * [expected.axes_sd]], axis=1)
     held = np.concatenate([np.zeros((len(rows), 3)), spread**-2.0], axis=1)
+    holding = (held + 1e-9)[:, :, None] * np.eye(FREE)
 
     centre, level, ratio = np.array(start_px, float), expected.level.copy(), 0.5
     change, hidden = np.zeros((len(rows), 3)), np.zeros(signal.shape, np.bool_)
     radius = np.sqrt(np.maximum(expected.axes[:, 0] * expected.axes[:, 2], 0.25))
-    most = LARGEST_STEP * radius[:, None]
+    most = radius[:, None] * LARGEST_STEPS
     pixels, matrix = np.empty((len(rows), 4, len(offset))), np.empty((len(rows), FREE, FREE))
     right, work = np.empty((len(rows), FREE)), np.empty((FREE + 2, len(offset)))
     for turn in range(LAST):
@@ -354,14 +358,15 @@ def fit_visible(
             hidden = lacks @ around > 0.0
         _equations(signal, use, hidden, offset, model, noise, pixels, work, matrix, right)
         # a Gauss-Newton step, with what is known of level and outline
-        matrix[:, range(FREE), range(FREE)] += held + 1e-9
+        matrix += holding
         away = np.concatenate([(level - expected.level)[:, None], change], axis=1)
         right[:, 3:] -= held[:, 3:] * away
         step = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
-        centre += np.clip(step[:, :2], -most, most)
+        step = np.minimum(np.maximum(step, -most), most)
+        centre += step[:, :2]
         ground = ground + step[:, 2]
         level = np.maximum(level + step[:, 3], 0.3 * expected.level)
-        change += np.clip(step[:, 4:], -0.25 * most, 0.25 * most)
+        change += step[:, 4:]
         if turn > LATER and np.hypot(step[:, 0], step[:, 1]).max() < SETTLED_PX:
             break
     used = use & ~hidden

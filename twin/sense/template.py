@@ -41,12 +41,13 @@ def disc(radius: float) -> tuple[Ints, Ints]:
     runs
         (rows, 3) row, first column and number of its pixels.
     """
-    return _disc(int(radius**2))
+    return _disc(int(radius**2))[:2]
 
 
 @lru_cache(maxsize=64)
-def _disc(square: int) -> tuple[Ints, Ints]:
-    """Return `disc` for a squared radius, of which pixels' squared distances need no fraction."""
+def _disc(square: int) -> tuple[Ints, Ints, Singles]:
+    """Return `disc` for a squared radius, of which pixels' squared distances need no fraction, and
+    its offsets as float32, at most 1000."""
     reach = math.isqrt(square)
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     inside = column**2 + row**2 <= square
@@ -54,7 +55,8 @@ def _disc(square: int) -> tuple[Ints, Ints]:
     rows, first, count = np.unique(offset[1], return_index=True, return_counts=True)
     runs = np.stack([rows, offset[0, first], count], axis=1)
     padding = ((0, 0), (0, -offset.shape[1] % 8))
-    return np.pad(offset, padding, constant_values=1 << 30), runs
+    offset = np.pad(offset, padding, constant_values=1 << 30)
+    return offset, runs, np.clip(offset, -1000, 1000).astype(np.float32)
 
 
 def disc_offsets(radius: float) -> Ints:
@@ -579,7 +581,7 @@ def slope_terms(places: Pixels, size: Sequence[int]) -> Floats:
     """Return (n, 6) 1, u, v, u^2, u v, v^2 of picture positions; u, v from -1/2 to 1/2 across the
     (h, w) picture."""
     u, v = places[:, 0] / size[1] - 0.5, places[:, 1] / size[0] - 0.5
-    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
+    return np.array([np.ones_like(u), u, v, u * u, u * v, v * v]).T
 
 
 NOBODY = np.zeros((0, LEADS), np.int64)
@@ -660,10 +662,9 @@ class Templates:
         return np.asarray(np.exp(4.0 * (self.blur_px / radius) ** 2))
 
     @cached_property
-    def _pixels(self) -> tuple[Ints, Ints, Singles]:
-        """`disc`, and its offsets as float32, at most 1000."""
-        offset, runs = disc(self.reach_px)
-        return offset, runs, np.clip(offset, -1000, 1000).astype(np.float32)
+    def usual_shape(self) -> Floats:
+        """(`SHAPE`,) median of the markers'."""
+        return np.asarray(np.nanmedian(self.shape, axis=0))
 
     def fit(
         self,
@@ -692,7 +693,7 @@ class Templates:
         (n, `COLUMNS`)
         """
         out = np.full((len(start_px), COLUMNS), np.nan)
-        offset, runs, place = self._pixels
+        offset, runs, place = _disc(int(self.reach_px**2))
         room = np.empty((2, offset.shape[1] + LANES), np.float32)
         _fit_centres(
             picture,
