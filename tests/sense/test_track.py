@@ -373,6 +373,33 @@ def test_a_cold_jump_by_a_lattice_step_is_found_or_ambiguous(pitches):
     assert np.isin(found.states[~found.seen], ["ambiguous", "missing"]).all()
 
 
+@pytest.mark.parametrize("margin", [27.0, 78.0])
+@pytest.mark.parametrize("pitches", [(1.0, 0.0), (1.07, -1.0), (2.0, 0.0), (-3.0, 0.0)])
+def test_a_film_that_is_cut_by_steps_of_the_lattice_is_found_or_ambiguous(pitches, margin):
+    """Each marker was taken for its neighbour, as one was near the place before, and none said so."""
+    layout = flat_layout(8, 6, 30.0, (margin, margin))
+    size = (round(210 + 2 * margin), round(150 + 2 * margin))
+    tracker = Tracker(picture(0.0, 1, layout, size), layout)
+    assert tracker.track(picture((2.0, 1.0), 2, layout, size)).seen.all()
+    for number in range(2):
+        shift = moved_inside(np.array([pitches]) * 30.0 + number * np.ones((len(joined(layout)), 2)), layout, size)
+        found = tracker.track(picture(shift, 3 + number, layout, size))
+        assert np.nanmax(np.abs(found.shift_px - shift), initial=0.0) < 0.2
+        assert np.isin(found.states[~found.seen], ["ambiguous", "missing"]).all()
+    assert margin == 27.0 or abs(pitches[0]) > 2.0 or found.seen.all()
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_row_of_the_border_that_is_hidden_does_not_pass_for_a_step_out_of_the_picture(side):
+    """From a cold start all markers were a pitch off where the row's place was at the picture's frame."""
+    place = joined(LAYOUT)[:, side]
+    red = np.arange(len(place)) < len(LAYOUT["red"])
+    hidden = np.where(red, place == place[red].min(), place == place[~red].min())
+    shift = np.where(hidden[:, None], np.nan, [3.0, 2.0])
+    found = track(picture(0.0, 1), picture(shift, 2), LAYOUT)
+    assert np.nanmax(np.abs(found.shift_px - shift), initial=0.0) < 0.2
+
+
 @pytest.mark.parametrize("pitches", [1.0, 3.0, 4.0, 5.0])
 def test_equal_rows_that_fill_the_picture_are_never_matched_a_step_off(pitches):
     """After four pitches the rows that had left passed for hidden ones of a layer that had not moved."""

@@ -149,3 +149,7 @@ class CentreEstimator:
             (n, 2) shifts in the picture before, px, NaN where unknown; None searches the whole.
         """
         raise NotImplementedError
+
+    def search(self, picture: Picture, start_px: Pixels | None) -> Seen:
+        """Measure as `measure` does, but look at the whole picture whatever the last one showed."""
+        return self.measure(picture, start_px)

@@ -303,6 +303,9 @@ class DiscFit(SoftWindow):
     def measure(self, picture: Picture, start_px: Pixels | None) -> Seen:
         if start_px is not None and (warm := self._from_last(picture, start_px)):
             return warm
+        return self.search(picture, start_px)
+
+    def search(self, picture: Picture, start_px: Pixels | None) -> Seen:
         blobs, spot, state, spurious = self._search(picture, start_px)
         spot = self.around.complete(blobs.centre_px, spot, blobs.cut)
         moved = (blobs.centre_px[spot] if len(blobs) else np.nan) - self.spot_px

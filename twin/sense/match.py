@@ -35,17 +35,18 @@ LATTICE, LATTICE_REACH = 0.4, 0.3
 """A step that leads from this share of the markers to another one belongs to the layout's lattice;
 met within so many spacings."""
 
-PRIOR, RIVAL = 4.0, 1.2
+PRIOR, RIVAL, MORE = 4.0, 1.2, 2.5
 """From a cold start, motion by one spacing more must be borne out by so many standard deviations;
 shifts that differ by less in all can't be distinguished. With these a lattice without a border is
-matched up to .3 spacings."""
+matched up to .3 spacings. A pairing that leaves over less by `MORE` is not ruled out by its longer
+motion alone."""
 
 STILL = 0.25
 """With more motion than this, in spacings, the shift must also be the one that leaves over the
 least: hidden markers are common, but so are they where nothing has moved."""
 
 SHARED = 0.95
-"""A pairing that has this share of the best one's pairs, and leaves over less by `PRIOR` standard
+"""A pairing that has this share of the best one's pairs, and leaves over less by `MORE` standard
 deviations, is not ruled out by its longer motion: whole rows that have gone were hidden, or have
 moved out of the picture."""
 
@@ -231,6 +232,7 @@ class Neighbourhood:
         alike: Bools,
         start_px: Pixels | None = None,
         size_px: tuple[int, int] | None = None,
+        spare_px: Pixels | None = None,
     ) -> tuple[Ints, bool]:
         """Return (n,) which spot every marker has become, -1 where none has; whether another
         lattice shift fits as well.
@@ -245,6 +247,8 @@ class Neighbourhood:
             (n, 2) motion in the previous picture, px, NaN where unknown; None starts cold.
         size_px
             (height, width) of the picture, whose markers may leave it; None if none can.
+        spare_px
+            (s, 2) spots at rest that are none of the markers, px.
 
         Notes
         -----
@@ -256,20 +260,22 @@ class Neighbourhood:
         count = len(self.rest_px)
         if not count or not len(spots):
             return np.full(count, -1, np.int64), False
-        search = _Search(self, spots, alike, size_px, start_px)
+        search = _Search(self, spots, alike, size_px, start_px, spare_px)
         if start_px is not None:
             warm = search.grow(start_px, whole=True)
             allowed = TRUST * float(np.isfinite(self.rest_px).all(axis=1).sum())
-            if search.lost(warm) < allowed:
+            outdone = any(rival.left_over < warm.left_over for rival in search.rivals(warm))
+            if search.lost(warm) < allowed and not outdone:
                 return warm.spot, False
         still = search.grow(np.zeros_like(self.rest_px))
         if start_px is None and search.plain(still):
             return still.spot, False
         grown = [still, *(search.grow(guess) for guess in search.common_motion())]
         if start_px is not None:
-            grown.append(search.grow(start_px))
+            grown += [warm, search.grow(start_px)]
         best = min(grown, key=lambda p: p.cost)
-        if start_px is not None and search.lost(warm) - allowed < search.lost(best):
+        trusted = start_px is not None and not outdone
+        if trusted and search.lost(warm) - allowed < search.lost(best):
             return warm.spot, False
         tried = [best]
         rivals: list[_Pairing] = []
@@ -284,17 +290,28 @@ class Neighbourhood:
         best = min(tried, key=lambda p: p.cost)
         if best is not tried[-1] or len(tried) > ROUNDS:  # else they are those found last
             rivals = search.rivals(best)
-        others = [*rivals, *(p for p in tried if p is not best)]
+        others = [*rivals, *(p for p in (*tried, *grown) if not np.array_equal(p.spot, best.spot))]
         least = min((rival.left_over for rival in others), default=best.left_over)
         close = any(rival.cost < best.cost + RIVAL for rival in others)
         found = SHARED * np.count_nonzero(best.spot >= 0)
-        left = [p.left_over for p in others if np.count_nonzero(p.spot >= 0) > found]
+        left = [
+            p.left_over
+            for p in others
+            if np.count_nonzero(p.spot >= 0) > found or p.unpaired < best.unpaired
+        ]
         fewer = 2.0 * (np.sqrt(best.left_over) - np.sqrt(min(left, default=best.left_over)))
         moved = best.length > STILL and least < best.left_over
         known = np.count_nonzero(search.known)
         torn = best.unpaired > TORN * known
-        gone = fewer > PRIOR and search.lost(best) < COVERED * known
-        return best.spot, bool(close or moved or torn or gone)
+        gone = fewer > MORE and search.lost(best) < COVERED * known
+        # A shorter motion that has a marker for every spot: have rows of the border been hidden?
+        hidden = any(
+            p.strange <= best.strange
+            and p.step < best.step - STILL
+            and search.lost(p) < COVERED * known
+            for p in others
+        )
+        return best.spot, bool(close or moved or torn or gone or hidden)
 
     @staticmethod
     def match_layout(nominal: list[Pixels], spots: list[Pixels], spacing_px: float) -> list[Ints]:
@@ -347,15 +364,17 @@ def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> In
 @dataclass(frozen=True, kw_only=True)
 class _Pairing:
     """Which spot every marker is taken for: (n,) spots, -1 for none, (n, 2) motion; its mean
-    length in spacings; how much that leaves over, how many of these are markers that have moved
-    unlike their neighbours; how many markers have no spot though as many spots have no marker; and
-    what speaks against it in all."""
+    length in spacings, and that since the last picture, or since rest; how much that leaves over,
+    how many of these are markers that have moved unlike their neighbours, and how many spots; how
+    many markers have no spot though as many spots have no marker; and what speaks against it."""
 
     spot: Ints
     motion: Pixels
     length: float
+    step: float
     left_over: int
     astray: int
+    strange: int
     unpaired: int
     cost: float
 
@@ -370,7 +389,10 @@ class _Search:
         alike: Bools,
         size_px: tuple[int, int] | None,
         start_px: Pixels | None,
+        spare_px: Pixels | None,
     ) -> None:
+        spare = np.zeros((0, 2)) if spare_px is None else spare_px
+        self.spare = cKDTree(spare) if len(spare) else None
         self.around, self.spots, self.alike, self.start_px = around, spots, alike, start_px
         self.known: Bools = np.asarray(np.isfinite(around.rest_px).all(axis=1))
         self.usable = alike.any(axis=0)
@@ -400,36 +422,43 @@ class _Search:
         astray = int(
             (np.linalg.norm(motion[found] - expected[found], axis=1) > 0.5 * GATE * size).sum()
         )
-        mean = self._mean_length(motion) / size
+        lengths = self._mean_lengths(motion)
+        mean = float(np.mean(lengths))
         left_over = lost + strange + astray
         return _Pairing(
             spot=spot,
             motion=motion,
             length=mean,
+            step=lengths[-1],
             left_over=left_over,
             astray=astray,
+            strange=strange,
             unpaired=min(lost, strange),
             cost=2.0 * np.sqrt(left_over) + PRIOR * mean,
         )
 
-    def _mean_length(self, motion: Pixels) -> float:
-        """Return how far markers have moved on average, px: since rest; in a sequence the mean of
-        this and of how far since the last picture."""
+    def _mean_lengths(self, motion: Pixels) -> list[float]:
+        """Return how far markers have moved on average, in spacings: since rest, and in a sequence
+        since the last picture."""
         starts = [np.zeros(2)] if self.start_px is None else [np.zeros(2), self.start_px]
         lengths = [np.linalg.norm(motion - start, axis=1) for start in starts]
         known = [length[np.isfinite(length)] for length in lengths]
-        return float(np.mean([one.mean() if len(one) else 0.0 for one in known]))
+        size = self.around.spacing_px
+        return [float(one.mean()) / size if len(one) else 0.0 for one in known]
 
     def _strange(self, spot: Ints, motion: Pixels, margin: float) -> int:
         """Return how many spots are no marker's, though at rest they would have been well inside
-        the picture."""
+        the picture, and none was there."""
         taken = spot >= 0
         free = self._free(spot)
         if not taken.any() or not len(free):
             return len(free)
         _, near = cKDTree(self.spots[spot[taken]]).query(self.spots[free])
         place = self.spots[free] - motion[taken][near]
-        return int(((place > margin) & (place < self.border - margin)).all(axis=1).sum())
+        strange = ((place > margin) & (place < self.border - margin)).all(axis=1)
+        if self.spare is not None:
+            strange &= self.spare.query(place)[0] > GATE * self.around.spacing_px
+        return int(strange.sum())
 
     def _free(self, spot: Ints) -> Ints:
         """Return the spots that could be markers and are none's."""

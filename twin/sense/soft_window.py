@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,7 +137,7 @@ class SoftWindow(CentreEstimator):
             & (level < LEVEL_RATIO[1])
         )
         spot, ambiguous = self.around.follow(
-            blobs.centre_px, good & blobs.whole, start_px, look.picture_px
+            blobs.centre_px, good & blobs.whole, start_px, look.picture_px, self._spare_px
         )
         state = self._lost_state(blobs, spot, ~good & blobs.whole)
         spurious = self._spurious(blobs, spot)
@@ -144,6 +145,15 @@ class SoftWindow(CentreEstimator):
             state[spot >= 0] = AMBIGUOUS
             spot = np.full_like(spot, -1)
         return blobs, spot, state, spurious
+
+    @cached_property
+    def _spare_px(self) -> Pixels:
+        """(s, 2) spots of the rest picture that are none of the markers."""
+        spots, marks = self.look.blobs.centre_px, self.spot_px[np.isfinite(self.spot_px[:, 0])]
+        if not len(marks):
+            return spots
+        away, _ = cKDTree(marks).query(spots)
+        return np.asarray(spots[away > 0.0])
 
     def _lost_state(self, blobs: Blobs, spot: Ints, odd: Bools) -> NDArray[np.uint8]:
         """Return why markers without a spot are lost: the spot near the expected place is odd, or

@@ -46,6 +46,10 @@ are those of a camera without noise, which repeats its ground, too (.0004 to .00
 COMPARED = 50
 """So many of a sequence's first pictures are compared with the one before, to find a codec."""
 
+STEPPED, DIAGONAL = 0.8, 1.6
+"""Share of the markers lost since the last picture that a step of the lattice, shorter than so many
+spacings, must explain: then the whole picture is searched."""
+
 __all__ = ["STATES", "Found", "Tracker", "analyse_rest", "track", "track_frame"]
 
 
@@ -269,6 +273,7 @@ class Tracker:
             method=method,
         )
         self._last_px: Pixels | None = None
+        self._seen = np.zeros(len(self.rest.rest_px), np.bool_)
         self._before = as_picture(rest_image, "the rest picture").copy()
         rough = min(group.roughness_px for group in self.rest.groups) > ROUGH_PX
         self._left_to_compare = COMPARED if rough else 0
@@ -283,8 +288,30 @@ class Tracker:
                 self._before[:] = picture
             self._left_to_compare -= 1
         found = track_frame(self.rest, image, self._last_px)
+        if self._may_have_jumped(found):
+            found = track_frame(self.rest, image, self._last_px, whole=True)
+        self._seen = found.seen
         self._last_px = found.shift_px if found.seen.all() else self._starts(found)
         return found
+
+    def _may_have_jumped(self, found: Found) -> bool:
+        """Return whether the markers that are lost since the last picture are those that find none
+        where all have moved by steps of their lattice: the border's, and those next to lost ones.
+        """
+        gone = self._seen & ~found.seen
+        if self._last_px is None or np.count_nonzero(gone) < 2:
+            return False
+        for group in self.rest.groups:
+            rows, around = group.look.rows, group.around
+            lost, seen = np.flatnonzero(gone[rows]), found.seen[rows]
+            for partner in around.partner:
+                has = partner >= 0
+                step = np.nanmedian(around.rest_px[partner[has]] - around.rest_px[has], axis=0)
+                near = np.hypot(*step) < DIAGONAL * around.spacing_px
+                alone = ~has | ~seen[partner]
+                if near and len(lost) > 1 and alone[lost].mean() >= STEPPED:
+                    return True
+        return False
 
     def _starts(self, found: Found) -> Pixels | None:
         """Return (N, 2) shifts to start from in the next picture, px: for lost markers the last
@@ -311,7 +338,9 @@ class Tracker:
         self._last_px = None
 
 
-def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> Found:
+def track_frame(
+    rest: Rest, image: Picture, start_px: Pixels | None = None, *, whole: bool = False
+) -> Found:
     """Measure the motion of every marker between the analysed rest picture and ``image``.
 
     Parameters
@@ -319,6 +348,8 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
     start_px
         (N, 2) shifts of the previous picture of a sequence, px, NaN where unknown; None starts
         cold.
+    whole
+        Search the whole picture, too, for a jump by a step of the markers' lattice.
 
     Raises
     ------
@@ -345,7 +376,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
     for group in rest.groups:
         rows = group.look.rows
         start = None if start_px is None else np.asarray(start_px, float)[rows]
-        seen = group.measure(picture, start)
+        seen = (group.search if whole else group.measure)(picture, start)
         halved = rest.flaws.blocks is not None and seen.coherence > 1.0
         film = FILM if halved else 1.0
         if rest.film:  # that edges look alike says nothing where a codec repeats them
