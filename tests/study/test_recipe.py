@@ -101,7 +101,7 @@ def test_one_scene_is_ten_lines_long() -> None:
 def test_a_wrong_value_is_named_with_what_is_allowed(key: str, value: object, expected: list[str]) -> None:
     with pytest.raises(RecipeError) as caught:
         load_scene("kamiyama_pillar", {key: value})
-    assert all(word in str(caught.value) for word in ["kamiyama_pillar.toml", *expected]), str(caught.value)
+    assert all(word in str(caught.value) for word in ["override of kamiyama_pillar: ", *expected]), str(caught.value)
 
 
 def test_all_problems_of_a_file_come_at_once() -> None:

@@ -320,7 +320,7 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
         others = [line not in own for line in problem.problems]
         if not any(others):
             raise
-        where = f"override of {path}" if all(others) else f"{path} and its overrides"
+        where = f"override of {scene}" if all(others) else f"{scene} and its overrides"
         raise RecipeError(problem.problems, where) from None
 
 
@@ -611,7 +611,7 @@ def find_scene(scene: str | Path, what: str = "scene") -> Path:
         raise InputError(
             f"{scene}: is a folder; give a scene file, such as {Path(scene) / 'scene.toml'}"
         )
-    return _find(str(scene), [Path.cwd()], what)
+    return _find(str(scene), [Path()], what)
 
 
 def _find(name: str, near: Sequence[Path], what: str, where: Path | None = None) -> Path:
@@ -624,7 +624,7 @@ def _find(name: str, near: Sequence[Path], what: str, where: Path | None = None)
             return candidate
     known = [p.stem for p in sorted(folder.glob("*.toml")) if p.stem.startswith(SWEEP) == is_sweep]
     otherwise = f"there is no such file, and shipped ones are: {', '.join(known)}"
-    files = [file.name for file in given[0].parent.glob("*.toml")]
+    files = [file.name for file in given[0].absolute().parent.glob("*.toml")]
     near_file = did_you_mean(Path(name).name, files, otherwise)
     text = f"no {what} '{name}': {did_you_mean(Path(name).stem, known, near_file)}"
     if name and any(os.path.lexists(file) for file in given):

@@ -186,7 +186,9 @@ class Renderer:
 
     @property
     def drawn_by(self) -> str:
-        """What draws the pictures, and why that, in one line."""
+        """What draws the pictures, in one line; of the splat also why that, and what is faster."""
+        if self.variant.name != "splat":
+            return self.variant.name
         return f"{self.variant.name}: {self.variant.reason}"
 
     @property
