@@ -115,7 +115,7 @@ def _written(folder: Path, scene: Scene, markers: Ellipsoids, corner: Ints, size
     """Write the scene as the program exports it, for a part of the picture; return the file."""
     if glowing is not None:
         markers = replace(markers, colour=np.where(np.arange(len(markers))[:, None] == glowing, np.ones(3), 0.0))
-    file = write_stock_scene(folder, "scene", scene.model_copy(update={"cover": None}), 1.0, markers)
+    (file,) = write_stock_scene(folder, scene.model_copy(update={"cover": None}), 1.0, {"scene": (markers, None)})
     tree = ElementTree.parse(file)
     film = tree.find("sensor/film")
     assert film is not None

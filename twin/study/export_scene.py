@@ -46,11 +46,11 @@ def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> l
         load = scene.load if scene.tractions else sensor.press().load
         motions["pressed"] = sensor.motion(load)
     make_folder(out)
-    files = []
-    for name, motion in motions.items():
-        cover = None if motion is None else motion.cover
-        shapes = sensor.ellipsoids(motion)
-        files.append(write_stock_scene(out, name, actual, exposure, shapes, cover))
+    states = {
+        name: (sensor.ellipsoids(motion), None if motion is None else motion.cover)
+        for name, motion in motions.items()
+    }
+    files = write_stock_scene(out, actual, exposure, states)
     readme = _readme(scene, actual.window_middle_mm, files, brighter)
     write_whole(out / "README.md", readme.encode())
     return files
@@ -63,6 +63,12 @@ def _readme(scene: Scene, middle_mm: float, files: list[Path], brighter: float) 
         "where the camera sees it",
         "the shift of colours, blur, noise and compression by the CCD (`[ccd]`)",
     ]
+    cover = scene.cover
+    if cover is not None and cover.transmittance and not cover.deforms:
+        left_out += [
+            "that the probe lifts the cover (`cover.deforms`): it stands out of the cover, which "
+            "it shadows beside it, by some per cent of the picture"
+        ]
     if any(light.outside):
         left_out += ["the light of the surroundings (`light.outside`)"]
     if scene.material.abbe_number or any(layer.abbe_number for layer in camera.layers):

@@ -133,7 +133,8 @@ def stock_picture(tmp_path, scene, markers, exposure, paths, cover=None):
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
-    written = mi.load_file(str(write_stock_scene(tmp_path, "seen", scene, exposure, markers, cover)))
+    (file,) = write_stock_scene(tmp_path, scene, exposure, {"seen": (markers, cover)})
+    written = mi.load_file(str(file))
     picture = np.mean([mi.render(written, spp=1024, seed=n) for n in range(paths // 1024)], axis=0)
     if not (tmp_path / "lens.npz").exists():
         return picture
@@ -180,6 +181,26 @@ def test_stock_mitsuba_sees_a_probe_behind_clear_rubber_as_we_do(tmp_path, z_mm)
     assert theirs[:, :, 0].sum() == pytest.approx(ours[:, :, 0].sum(), rel=0.03)
 
 
+@pytest.mark.slow
+def test_a_probe_shadows_a_cover_that_it_does_not_lift(tmp_path):
+    """All that stock Mitsuba sees darker than we do is a cover that stays beside a probe that stands out of it."""
+    markers, exposure = beads([(0, 0, np.nan)]), Renderer(small(), beads([(0, 0, 6)]), SPLAT).exposure
+    ratios = {}
+    for lifts in (True, False):
+        sheet = Cover(transmittance=0.4, albedo=(0.3, 0.3, 0.3), deforms=lifts)
+        scene = small().model_copy(update={"cover": sheet})
+        places = Background(scene, 1.0).moving
+        cover = CoverMotion(
+            displacement_mm=np.tile([0.0, 0.0, 0.5], (len(places), 1)),
+            gradient=np.zeros((len(places), 3, 3)),
+            probes=(faced(0.5, 1.0),),
+        )
+        ours = Renderer(scene, beads([(0, 0, 6)]), SPLAT).radiance(markers, cover)
+        ratios[lifts] = stock_picture(tmp_path, scene, markers, exposure, 2048, cover).sum() / ours.sum()
+    assert ratios[True] == pytest.approx(1.0, abs=0.01)
+    assert ratios[False] < 0.95
+
+
 def test_marks_and_probes_are_written_where_they_stand(tmp_path):
     bubbles = Camera.Marks(count=300, size_mm=0.4, hollow=0.7, albedo=0.3, depth_mm=2.0)
     scratches = Camera.Marks(count=7, size_mm=0.2, length_mm=3.0, albedo=0.2)
@@ -190,7 +211,7 @@ def test_marks_and_probes_are_written_where_they_stand(tmp_path):
         displacement_mm=np.zeros_like(places), gradient=np.zeros((len(places), 3, 3)), probes=(faced(0.5),)
     )
     down = scene.window_middle_mm
-    write_stock_scene(tmp_path, "seen", scene, 1.0, rest_of(scene), still)
+    write_stock_scene(tmp_path, scene, 1.0, {"seen": (rest_of(scene), still)})
     parts = {
         name: trimesh.load(tmp_path / f"seen_{name}.ply", process=False)
         for name in ("specks0", "marks0", "probe0", "surface")

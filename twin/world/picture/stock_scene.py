@@ -297,26 +297,22 @@ def window(scene: Scene, down_mm: float = 0.0) -> tuple[dict[str, Any], float]:
 
 def write_stock_scene(
     folder: Path,
-    name: str,
     scene: Scene,
     exposure: float,
-    markers: Ellipsoids,
-    cover: CoverMotion | None = None,
-) -> Path:
-    """Write ``name``.xml, its PLY files and, for what is no pinhole or thin lens, `_LENS_FILE` into
-    a folder; return the XML file.
+    states: Mapping[str, tuple[Ellipsoids, CoverMotion | None]],
+) -> list[Path]:
+    """Write an XML file of each state, its PLY files and, for what is no pinhole or thin lens,
+    `_LENS_FILE` into a folder, which exists; return the XML files.
 
     Parameters
     ----------
-    folder, name
-        The folder, which exists, and the files' first word.
     scene
         With camera and light; its LEDs are discs.
     exposure
         Of `twin.world.picture.render.Renderer.exposure`: pixels are then in its units.
-    markers, cover
-        The markers, and how the places of the cover's `Background` have moved; the probes that the
-        camera sees.
+    states
+        By the files' first word: the markers, and how the places of the cover's `Background` have
+        moved; the probes that the camera sees.
 
     Raises
     ------
@@ -346,21 +342,25 @@ def write_stock_scene(
             "to_world": _matrix(radius * np.diag([1, -1, -1]), (*place[:2], place[2] - down)),
             "emitter": {"type": "area", "radiance": _rgb(radiance * power)},
         }
-    for part, surface in _all_surfaces(scene, markers, cover).items():
-        file = f"{name}_{part}"
-        # Beneath the sensing surface there is air.
-        air = {"type": "dielectric", "int_ior": 1.0, "ext_ior": index}
-        painted = air if part == "surface" else surface.paint(scene)
-        table[file] = {"type": "ply", "filename": f"{file}.ply", "bsdf": painted}
-        write_whole(folder / f"{file}.ply", surface.as_ply(down))
-    # The tables in Mitsuba's XML.
-    root = ElementTree.Element("scene", version="3.0.0")
-    for key, value in table.items():
-        _add(root, key, value, "id")
-    ElementTree.indent(root)
-    made = ElementTree.tostring(root, encoding="unicode") + "\n"
-    write_whole(folder / f"{name}.xml", made.encode())
-    return folder / f"{name}.xml"
+    files = []
+    for name, (markers, cover) in states.items():
+        here = dict(table)
+        for part, surface in _all_surfaces(scene, markers, cover).items():
+            file = f"{name}_{part}"
+            # Beneath the sensing surface there is air.
+            air = {"type": "dielectric", "int_ior": 1.0, "ext_ior": index}
+            painted = air if part == "surface" else surface.paint(scene)
+            here[file] = {"type": "ply", "filename": f"{file}.ply", "bsdf": painted}
+            write_whole(folder / f"{file}.ply", surface.as_ply(down))
+        # The tables in Mitsuba's XML.
+        root = ElementTree.Element("scene", version="3.0.0")
+        for key, value in here.items():
+            _add(root, key, value, "id")
+        ElementTree.indent(root)
+        made = ElementTree.tostring(root, encoding="unicode") + "\n"
+        files.append(folder / f"{name}.xml")
+        write_whole(files[-1], made.encode())
+    return files
 
 
 def check_stock(scene: Scene) -> None:
