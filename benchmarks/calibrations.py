@@ -29,10 +29,11 @@ from twin.sense.calibration import Calibration
 from twin.sense.fit_design import Fit, Presses
 from twin.sense.reconstruct import reconstruct
 from twin.sense.transfer import fill_between, from_presses
-from twin.study.calibrate import FOOTPRINT, calibration_press, hertz_radius
+from twin.study.calibrate import FOOTPRINT, calibration_press
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
+from twin.theory.contact import hertz
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.coated import CoveredCompliance
 from twin.world.elasticity.fem import TaylorHood
@@ -216,7 +217,7 @@ def study(numbers: Any, covered: bool, counts: tuple[int, ...], single: bool = F
     for count in counts:
         chart = PLACES[count]
         places = Rectangles.on_surface(scene.body, np.array(chart or [(0.0, 0.0)]), 0.5, "places")
-        radius = [hertz_radius(scene, scene.calibration.press_force_n * float(n)) for n in places.frames[:, 2, 2]]
+        radius = [contact_radius(scene, float(n)) for n in places.frames[:, 2, 2]]
         twin = FittedDesign(scene, places, np.array(radius))
         for number in numbers:
             presses = measured(truth, number, chart, single)
@@ -265,11 +266,22 @@ def errors(truth: Truth, number: int, twin: FittedDesign, found: Fit, presses: P
     return out
 
 
+def contact_radius(scene: Scene, share: float = 1.0) -> float:
+    """Return the nominal contact radius of the calibration sphere under a share of its force, mm."""
+    rubber = scene.material
+    return hertz(
+        radius_mm=scene.calibration.press_probe_mm / 2,
+        youngs_modulus_mpa=rubber.youngs_modulus_mpa,
+        poisson_ratio=rubber.poisson_ratio,
+        force_n=share * scene.calibration.press_force_n,
+    ).contact_radius_mm
+
+
 def free_matrices(numbers: Any) -> list[dict[str, Any]]:
     """Return every sensor's errors by a free matrix, measured at Sato's 25 places by 75 presses."""
     truth, out = truth_of(covered=False), []
     scene = truth.scene
-    radius = hertz_radius(scene, scene.calibration.press_force_n)
+    radius = contact_radius(scene)
     places = Rectangles.on_surface(scene.body, np.array(LAWN), FOOTPRINT * radius, "places")
     twin = FittedDesign(scene, places, np.full(len(places), radius))
     for number in numbers:

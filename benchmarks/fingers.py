@@ -22,7 +22,7 @@ from twin.blas_threads import one_thread
 from twin.files import SCENES
 from twin.sense.track import Tracker
 from twin.study.film import film_to_folder
-from twin.study.recorded import VideoWriter, read_picture
+from twin.study.frames import VideoWriter, read_picture
 
 FINGERS = 4
 METHODS = ("disc-fit", "two-pass")

@@ -19,8 +19,8 @@ from twin.study.batch.pool import only_writer
 from twin.study.check import check_path
 from twin.study.dataset.plan import FORMAT
 from twin.study.dataset.reader import DatasetReader, open_dataset
+from twin.study.frames import read_picture
 from twin.study.intrinsics import read_intrinsics
-from twin.study.recorded import read_picture
 
 
 @pytest.mark.slow

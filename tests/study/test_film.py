@@ -16,7 +16,7 @@ from twin.sense.calibration import read_calibration
 from twin.sense.track import Tracker
 from twin.study.calibrate import calibrate_to_file
 from twin.study.film import PARTS, at_frames, film_to_folder, write_film
-from twin.study.recorded import VideoWriter, read_picture
+from twin.study.frames import VideoWriter, read_picture
 from twin.study.sensor import Sensor
 
 QUICK = {"accuracy.contact_patches": 6, "accuracy.centroid_px": 0.1, "camera.width_px": 320, "camera.height_px": 240,

@@ -26,8 +26,8 @@ from twin.sense.calibration import read_calibration
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import track
 from twin.study.calibrate import calibrate_to_file, calibration_of
+from twin.study.frames import VIDEOS, read_picture
 from twin.study.recipe import load_scene
-from twin.study.recorded import VIDEOS, read_picture
 from twin.study.sensor import Sensor
 from twin.theory.relaxation import Relaxation
 

@@ -5,7 +5,7 @@ a scene                     `recipe`, `schema`, `doubts`
 a sensor made from it       `sensor`
 one run                     `run`
 a calibration               `calibrate`, `fitted_design`
-recorded frames             `recorded`, `intrinsics`
+recorded frames             `frames`, `recorded`, `intrinsics`
 by hand, in a loop          `live`, `environment`, `gym`, `ros`
 to look at                  `view`
 many runs                   `dataset`, `sweep`, `reproduce`, and `batch` for what they share

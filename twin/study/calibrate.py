@@ -30,7 +30,7 @@ from twin.parts.load import Rectangles
 from twin.parts.part import Purpose, identity
 from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
-from twin.study.recorded import PICTURES, read_numbers, read_picture
+from twin.study.frames import PICTURES, read_numbers, read_picture
 from twin.study.sensor import Sensor
 from twin.theory.contact import hertz
 from twin.theory.optics import project_with_jacobian
@@ -273,7 +273,7 @@ def _calibrate_by_presses(sensor: Sensor) -> Calibration:
     sites, grid = scene.reconstruction.sites, scene.calibration.presses
     if grid is None and scene.calibration.method == "sato":
         grid = sites
-    half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
+    half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
     chart = grid.chart() if grid is not None else np.array(FIVE) * np.array(sites.half_mm)
     places = Rectangles.on_surface(scene.body, chart, half_mm, "calibration.presses")
     presses = _press_everywhere(sensor, places)
@@ -332,7 +332,7 @@ def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     wanted = scene.calibration
     normal = places.frames[index, 2]
     radius = wanted.press_probe_mm / 2
-    contact_radius = min(hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
+    contact_radius = min(_hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
     x, y = places.centre_mm[index, :2] - radius * normal[:2]
     shear = SHEAR_SHARE * contact_radius
     return Press(
@@ -347,7 +347,7 @@ def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     )
 
 
-def hertz_radius(scene: Scene, force_n: float) -> float:
+def _hertz_radius(scene: Scene, force_n: float) -> float:
     """Return the nominal contact radius of the calibration sphere, mm."""
     return hertz(
         radius_mm=scene.calibration.press_probe_mm / 2,
@@ -387,7 +387,7 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
     # Footprint of each press by Hertz, at most as wide as the probe.
     force = scene.calibration.press_force_n * places.frames[:, 2, 2]
     most = scene.calibration.press_probe_mm / 2
-    radius = np.array([min(hertz_radius(scene, float(f)), most) for f in force])
+    radius = np.array([min(_hertz_radius(scene, float(f)), most) for f in force])
     own_cover = scene.cover is not None and scene.cover.has_own_material
     covered = sensor.nominal_compliance if own_cover else None
     design = FittedDesign(scene, places, radius, covered, progress=sensor.progress)
@@ -519,7 +519,7 @@ def _check_forces(scene: Scene, force_n: Floats) -> None:
     low, high = scene.body.bounds_mm
     radius = scene.calibration.press_probe_mm / 2
     most = int(size.argmax())
-    depth = hertz_radius(scene, float(size[most])) ** 2 / radius if size[most] > 0 else 0.0
+    depth = _hertz_radius(scene, float(size[most])) ** 2 / radius if size[most] > 0 else 0.0
     if depth > max((high[2] - low[2]) / 2, radius):
         raise InputError(
             f"{TABLE}: press {most + 1} has {size[most]:.4g} N, which by Hertz' law would press a "
@@ -555,7 +555,7 @@ def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibrat
     _require_places(
         scene.body, places_mm, scene.body.contains(scene.body.chart_points(charts), -1e-6)
     )
-    half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
+    half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
     # Fitted: any places. Presses nearly at one place share it.
     if scene.calibration.method == "fitted":
         rounded = np.rint(charts / SAME_PLACE_MM).astype(np.int64)

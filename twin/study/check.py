@@ -300,7 +300,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
     from twin.sense.centre import COHERENT
     from twin.sense.disc_fit import DiscFit
     from twin.sense.track import analyse_rest, track_frame
-    from twin.study.recorded import read_picture
+    from twin.study.frames import read_picture
     from twin.study.sensor import SATURATED, Sensor
 
     # Track the second rest picture against the first: nothing should have moved.

@@ -266,7 +266,7 @@ def write_film(sensor: Sensor, out: Path) -> str:
     """
     from PIL import Image
 
-    from twin.study.recorded import VideoWriter
+    from twin.study.frames import VideoWriter
 
     kind = FILMS.get(out.suffix.lower())
     if kind is None:
@@ -325,7 +325,7 @@ def film_to_folder(
     SomeFailed
         The press has no equilibrium in some step: what is before it is filmed.
     """
-    from twin.study.recorded import VideoWriter
+    from twin.study.frames import VideoWriter
 
     # Refuse what can't be filmed, solve the press at every frame's time, empty the folder.
     if h264:

@@ -22,7 +22,7 @@ from twin.files import make_folder, png_bytes, write_whole
 from twin.parts.scene import Scene
 from twin.sense.find_layout import FoundLayout, find_layout
 from twin.study.doubts import View
-from twin.study.recorded import read_picture
+from twin.study.frames import read_picture
 
 LARGEST_MM = 100.0
 """Of a pitch or a depth."""
