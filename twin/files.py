@@ -318,11 +318,42 @@ def png_bytes(picture: Picture) -> bytes:
 
 
 def picture_of_png(data: bytes) -> Picture | None:
-    """Return the (height, width, channels) uint16 picture in the bytes of a PNG file that is known
-    to be whole, None of one of fewer bits: Pillow reads colours as 8 bits."""
+    """Return the (height, width, channels) uint16 picture in the bytes of a PNG file whose header
+    is whole, None of one of fewer bits: Pillow reads colours as 8 bits. A `ValueError` says that
+    pixels are damaged, of which VTK would crash.
+
+    Notes
+    -----
+    Lines without a filter, as `png_bytes` stores them, are the pixels as they are.
+    """
     if data[24:25] != b"\x10":
         return None
     import numpy as np
+
+    width, height, _, kind, _, _, woven = struct.unpack(">IIBBBBB", data[16:29])
+    channels = _PNG_CHANNELS.get(kind, 0)
+    packed = []
+    start = 8
+    while start + 8 <= len(data):
+        (length,) = struct.unpack(">I", data[start : start + 4])
+        if data[start + 4 : start + 8] == b"IDAT":
+            packed.append(data[start + 8 : start + 8 + length])
+        start += 12 + length
+    parts = _WOVEN if woven else ((0, 0, 1, 1),)
+    size = 0
+    for row, column, down, along in parts:
+        across = len(range(column, width, along))
+        size += len(range(row, height, down)) * (1 + 2 * channels * across) * (across > 0)
+    try:
+        pixels = zlib.decompressobj().decompress(b"".join(packed), size + 1)
+    except zlib.error as problem:
+        raise ValueError(problem) from None
+    if len(pixels) != size:
+        raise ValueError(f"{len(pixels)} bytes of pixels instead of {size}")
+    lines = np.frombuffer(pixels, np.uint8)
+    if not woven and not lines[:: size // height].any():
+        values = lines.reshape(height, -1)[:, 1:].copy().view(">u2")
+        return values.reshape(height, width, channels).astype(np.uint16)
     from vtkmodules.vtkIOCore import vtkMemoryResourceStream
     from vtkmodules.vtkIOImage import vtkPNGReader
 
@@ -331,9 +362,24 @@ def picture_of_png(data: bytes) -> Picture | None:
     reader.SetStream(stream)
     reader.Update()
     image = reader.GetOutput()
-    width, height, _ = image.GetDimensions()
-    values: Picture = np.asarray(image.GetPointData().GetScalars(), np.uint16)
+    values = np.asarray(image.GetPointData().GetScalars(), np.uint16)
     return values.reshape(height, width, -1)[::-1].copy()
+
+
+_PNG_CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
+"""Channels by a PNG's kind of colour."""
+
+_WOVEN = (
+    (0, 0, 8, 8),
+    (0, 4, 8, 8),
+    (4, 0, 8, 4),
+    (0, 2, 4, 4),
+    (2, 0, 4, 2),
+    (0, 1, 2, 2),
+    (1, 0, 2, 1),
+)
+"""First row and column of each pass of an interlaced PNG, and the steps from row to row and from
+column to column."""
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:

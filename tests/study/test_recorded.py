@@ -299,8 +299,14 @@ def test_16_bit_colours_are_read_whole(tmp_path):
     assert_array_equal(read_picture(tmp_path / "deep.png")[:, 2, 1], 0x1234 + np.arange(4))
     whole = (tmp_path / "deep.png").read_bytes()
     (tmp_path / "cut.png").write_bytes(whole[:-30])
-    with pytest.raises(InputError, match="can't be read"):
-        read_picture(tmp_path / "cut.png")
+    # A file whose parts are whole, but which has too few pixels; and one of another kind of colour.
+    few = chunk(b"IDAT", zlib.compress(b"\0" + b"\x12\x34" * 15))
+    (tmp_path / "few.png").write_bytes(whole[: 8 + len(head)] + few + chunk(b"IEND", b""))
+    odd = chunk(b"IHDR", struct.pack(">IIBBBBB", 5, 4, 16, 3, 0, 0, 0))
+    (tmp_path / "odd.png").write_bytes(whole[:8] + odd + rows_of + chunk(b"IEND", b""))
+    for name in ("cut", "few", "odd"):
+        with pytest.raises(InputError, match="read"):
+            read_picture(tmp_path / f"{name}.png")
 
 
 def test_a_bumped_camera_and_a_turned_picture_are_said(folder):

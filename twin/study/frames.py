@@ -92,7 +92,6 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
                     f"{path}: {width}x{height} px are more than {LARGEST_PX:,}: crop it"
                 )
             if image.format == "PNG":
-                image.load()
                 deep = picture_of_png(Path(path).read_bytes())
                 if deep is not None:
                     grey = deep.shape[2] < 3

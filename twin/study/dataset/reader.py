@@ -111,7 +111,6 @@ class DatasetReader:
         with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
             if image.width * image.height > LARGEST_PX:
                 raise ValueError(f"{image.width}x{image.height} px are more than {LARGEST_PX:,}")
-            image.load()
             deep = picture_of_png(data)
             return np.array(image) if deep is None else deep
 
