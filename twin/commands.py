@@ -348,7 +348,9 @@ def _json_of(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as problem:
-        raise InputError(f"{path}: can't be read as JSON ({problem})") from None
+        raise InputError(
+            f"{path}: can't be read as JSON ({problem}); give what twin run wrote"
+        ) from None
 
 
 def explain(
@@ -1062,6 +1064,8 @@ def sweep(
     print(f"designs     {len(done.designs)}: {counts}")
     for warning in done.warnings:
         print(f"warning     {warning}")
+    if not kinds["ok"] and not done.failed:
+        raise InputError(best[0])
     print("\n".join(best))
     print(f"written to  {folder}: report.html says how far to trust them ('Fidelities and reuse')")
     if done.failed:

@@ -94,6 +94,7 @@ def test_one_scene_is_ten_lines_long() -> None:
         ("press.force_n", {"z": "much"}, ["press.force_n.z = 'much' N: must be a number"]),
         ("press.move_mm", {"z": 1}, ["press.move_mm", "belongs to a step"]),
         ("body.shape", "cube", ["body.shape", "'cube'", "'block'"]),
+        ("camera.fov_deg", 39, ["give focal_px", "--fov-deg"]),
         ("ccd.preset", "idael", ["ccd.preset", "'ideal'"]),
         ("camera.pupil_mm", [0, 0, 3], ["camera.pupil_mm", "z >= 50"]),
     ],

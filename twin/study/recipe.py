@@ -433,6 +433,8 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
                 f"it belongs to a step of the path: steps = [{{force_n = {{z = 1}}}}, {{{last} = "
                 "{z = 1}}]"
             )
+        if dotted == "camera.fov_deg":
+            hint = "give focal_px; twin scenes --new --fov-deg computes it from a field of view"
         return f"{dotted}: unknown key; {hint}"
     if error["type"] == "missing":
         return f"{dotted}: missing; {_wanted(keys, table)}"

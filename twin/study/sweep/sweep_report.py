@@ -235,7 +235,8 @@ def write_report(done: Swept, folder: Path) -> list[str]:
 def _verdict(done: Swept) -> str:
     """Return what to make, what it reaches, and which targets no design meets."""
     if not len(done.order):
-        return f"None of {len(done.designs)} designs is possible."
+        ((reason, _),) = Counter(map(str, done.error)).most_common(1)
+        return f"None of {len(done.designs)} designs is possible: {reason}"
     best = int(done.order[0])
     values = done.designs.values(best)
     made = [
