@@ -17,6 +17,9 @@ from twin.sense.inverse import METHODS
 from twin.sense.reconstruct import Bump, reconstruct
 from twin.sense.regularisation import Factors
 from twin.sense.transfer import from_compliance
+from twin.study.calibrate import calibration_of
+from twin.study.recipe import load_scene
+from twin.study.sensor import Sensor
 from twin.theory.optics import project, project_with_jacobian
 
 FLAT, FINGER, SMALL = flat_sensor(), finger_sensor(), flat_sensor(8, 6)
@@ -265,6 +268,22 @@ def test_stated_deviations_cover_the_truth():
     assert np.std(total) == pytest.approx(1.0, abs=0.15)
     assert np.std(site) == pytest.approx(1.0, abs=0.1)
     assert np.mean(np.abs(site) < 1.96) == pytest.approx(0.95, abs=0.03)
+
+
+@pytest.mark.slow
+def test_one_layer_states_what_the_force_sideways_owes_to_where_forces_are_expected():
+    """A gel pad without tolerances, and markers' true motion: components sideways were 3 to 7 deviations off."""
+    score, random = [], np.random.default_rng(3)
+    for at, force, diameter in (((2.1, 2.2), 0.2, 6), ((-1.5, -3.1), 0.2, 6), ((2.8, 2.6), 0.2, 4)):
+        keys = {"at_mm": list(at), "force_n": {"z": force}, "probe.diameter_mm": diameter}
+        scene = load_scene("gelpad_press", {f"press.{k}": v for k, v in keys.items()} | {"tolerance.preset": "none"})
+        sensor = Sensor(scene)
+        calibration, rest, state = calibration_of(sensor), sensor.actual.markers.points, sensor.press()
+        shift = sensor.project(rest + sensor.motion(state.load).displacement_mm) - sensor.project(rest)
+        found = as_found(shift + random.normal(0, 0.003, shift.shape), calibration, 0.003)
+        field = reconstruct(found, calibration, "local")
+        score.append((field.total_force_n - state.force_n) / field.sd_total_n)
+    assert 0.5 < np.sqrt(np.mean(np.square(score))) < 2.0
 
 
 @pytest.mark.parametrize("options", [{}, {"push_only": True}, {"friction": 0.8}])

@@ -87,7 +87,8 @@ class Field(Table):
         (k, 3) standard deviation of the linear estimate's forces, given the prior, N.
     sd_total_n, sd_torque_nmm
         (3,) standard deviations of the totals, N and N mm, by the noise alone: what the calibration
-        is off comes on top (1.5 % of the force where the modulus is 1.5 % off).
+        is off comes on top (1.5 % of the force where the modulus is 1.5 % off). By ``local`` of
+        fewer data than unknowns also by where forces are expected.
     used
         (n,) which markers took part.
     wrong
@@ -249,16 +250,17 @@ def reconstruct(
     problem = Problem.of(found, calibration, method)
     whole = problem.whiten(found.shift_px)
     if METHODS[method].local:
-        linear, sd_force = _solved_locally(problem, whole, weight, robust, camera)
+        linear, sd_force, moved = _solved_locally(problem, whole, weight, robust, camera)
     else:
         given = weight if METHODS[method].weighted else 0.0
         linear = _solved(problem, whole, given, robust, camera)
-        sd_force = linear.sd_force_n
+        sd_force, moved = linear.sd_force_n, np.zeros(3)
     problem, force = linear.problem, linear.force_n
     totals = calibration.total_rows @ force.ravel()
     sd_total = linear.scale * np.sqrt(
         np.diag(problem.factors.covariance(linear.weight, calibration.total_rows))
     )
+    sd_total[:3] = np.hypot(sd_total[:3], moved)
     kkt = 0.0
     if push_only or friction is not None:
         at = linear.weight
@@ -540,18 +542,29 @@ def _with_model_error(problem: Problem, whole: Floats) -> tuple[Problem, Floats]
 
 def _solved_locally(
     problem: Problem, whole: Floats, weight: float | WeightRule, robust: bool, camera: bool
-) -> tuple[_Linear, Floats]:
-    """Solve with forces expected where the smooth solution, then the local one, has some; and (k,
-    3) deviations, N."""
+) -> tuple[_Linear, Floats, Floats]:
+    """Solve with forces expected where the smooth solution, then the local one, has some.
+
+    Returns
+    -------
+    The solution; (k, 3) deviations, N; and (3,) what its total owes to where forces are expected,
+    if there are fewer data than unknowns, N: by how much the last turn moved it sideways. Along
+    the mean normal turns still converge.
+    """
     found = smooth = _solved(problem, whole, "auto", robust, camera)
+    few, frames = len(whole) < len(problem.base.penalty), problem.calibration.site_frames
     problem, whole = _with_model_error(problem, whole)
     rule = "likelihood" if weight == "auto" else weight
     for _ in range(TURNS):
         if not found.force_n.any():
-            return smooth, smooth.sd_force_n
+            return smooth, smooth.sd_force_n, np.zeros(3)
+        before = found
         found = _solved(_localised(problem, found.force_n), whole, rule, robust, camera)
     carries = found.problem.factors.back.any(axis=1).reshape(-1, 3)
-    return found, np.where(carries, found.sd_force_n, smooth.sd_force_n)
+    normal = frames[:, 2].sum(axis=0) / np.linalg.norm(frames[:, 2].sum(axis=0))
+    moved = few * (found.force_n - before.force_n).sum(axis=0)
+    sideways = moved - (moved @ normal) * normal
+    return found, np.where(carries, found.sd_force_n, smooth.sd_force_n), sideways
 
 
 LEAST_PX = 0.5
