@@ -739,15 +739,15 @@ def _of_neighbours(
     known = np.where(fine[:, None], measured, np.nan)
     near = np.where((around.fit_weight[rows] > 0.0)[:, :, None], known[around.near[rows]], np.nan)
     near[np.isfinite(near[:, :, 0]).sum(axis=1) < LEAST_SCORES] = np.nan
-    if fine.sum() < LEAST_SCORES:
-        known = np.array([[0.0, 0.0, 0.0, 1.0, 1.0]])[:, : measured.shape[1]]
-    overall = _medians(known, 0)
-    apart = 1.4826 * _medians(np.abs(known - overall), 0)
-    usual, spread = np.tile(overall, (len(rows), 1)), np.tile(apart, (len(rows), 1))
-    some = np.isfinite(near[:, :, 0]).any(axis=1)
-    usual[some] = _medians(near[some], 1)
-    spread[some] = 1.4826 * _medians(np.abs(near[some] - usual[some, None]), 1)
-    return usual, spread
+    usual = _medians(near, 1)
+    spread = _medians(np.abs(near - usual[:, None]), 1)
+    alone = np.isnan(usual[:, 0])
+    if alone.any():
+        if fine.sum() < LEAST_SCORES:
+            known = np.array([[0.0, 0.0, 0.0, 1.0, 1.0]])[:, : measured.shape[1]]
+        usual[alone] = _medians(known, 0)
+        spread[alone] = _medians(np.abs(known - usual[alone][0]), 0)
+    return usual, 1.4826 * spread
 
 
 def _centre_sds(fitted: Floats, usual_misfit: float) -> Floats:

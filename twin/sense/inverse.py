@@ -214,7 +214,9 @@ class Problem:
     def in_classes(noise: Floats) -> Floats:
         """Return (u,) noise per marker, px: the same for all where it hardly differs, else in
         classes."""
-        least, low, usual, most, high = np.quantile(noise, [0.0, 0.1, 0.5, 0.9, 1.0])
+        ranks = np.linspace(0.0, 1.0, len(noise))
+        shares = [0.0, 0.1, 0.5, 0.9, 1.0]
+        least, low, usual, most, high = np.interp(shares, ranks, np.sort(noise))
         even = most <= EVEN_NOISE * low and high <= 2 * EVEN_NOISE * low
         if even or high <= EVEN_NOISE * least:
             return np.full(len(noise), np.sqrt(np.mean(noise**2)))
