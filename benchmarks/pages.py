@@ -700,8 +700,9 @@ def store_reproduction(folder: Path) -> None:
 
 
 def _reproduction() -> dict[str, str]:
-    from twin.study.reproduce.bench import FITTED, Record
+    from twin.study.reproduce.bench import FITTED
     from twin.study.reproduce.design_limits import in_short
+    from twin.study.reproduce.record import Record
 
     rows = stored("reproduction")
     records = [row["record"] for row in rows if "record" in row]

@@ -18,21 +18,8 @@ from twin.errors import InputError, TwinError
 from twin.parts.load import Traction
 from twin.sense.track import track_frame
 from twin.show.reproduction_page import reproduction
-from twin.study.reproduce.bench import (
-    KAMIYAMA,
-    MADE,
-    OUR_TRACKER,
-    PILLAR_PRESS,
-    WAYS,
-    Bench,
-    Chain,
-    Entry,
-    Quantity,
-    Record,
-    Trial,
-    Unprinted,
-    Way,
-)
+from twin.study.reproduce.bench import KAMIYAMA, MADE, OUR_TRACKER, PILLAR_PRESS, WAYS, Bench, Chain, Entry, Trial, Way
+from twin.study.reproduce.record import Quantity, Record, Unprinted
 from twin.study.reproduce.reproduction_run import ENTRIES, reproduce
 
 FAST = ("kamiyama/fig-6", "kamiyama/fig-7")

@@ -37,7 +37,7 @@ def reproduction(
     ``tables`` are the entries' files in order, ``pictures`` SVG by entry, ``sensors`` scene, hash
     and what was fitted by paper, ``failed`` the reason by entry that could not be finished,
     ``short`` the sentences of the first screen by heading, ``unprinted`` what no paper prints, as
-    `twin.study.reproduce.bench.settled` has it.
+    `twin.study.reproduce.record.Record.settled` has it.
     """
     links = "".join(
         f'<a href="#{_anchor(t)}">{escape(t["name"])}: {escape(t["title"])}</a>' for t in tables

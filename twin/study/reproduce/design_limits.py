@@ -38,14 +38,12 @@ from twin.study.reproduce.bench import (
     Chain,
     Entry,
     ForceLine,
-    Numbers,
     Protocol,
-    Quantity,
-    Record,
     Rig,
     Trial,
     sphere_press,
 )
+from twin.study.reproduce.record import Numbers, Quantity, Record
 from twin.theory.limit import DIP, Limit
 
 FORCE_N, HUMAN_MM = 1.0, 2.0

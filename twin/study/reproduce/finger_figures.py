@@ -28,16 +28,13 @@ from twin.study.reproduce.bench import (
     Entry,
     ForceLine,
     Measure,
-    Numbers,
-    Quantity,
     Reading,
-    Record,
     Rig,
     Shot,
     Trial,
-    Unprinted,
     sphere_press,
 )
+from twin.study.reproduce.record import Numbers, Quantity, Record, Unprinted
 from twin.study.sensor import Motion
 
 PITCH_MM, STEP_MM = 2.5, 0.5

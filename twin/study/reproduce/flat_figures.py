@@ -26,14 +26,11 @@ from twin.study.reproduce.bench import (
     Chain,
     Entry,
     Measure,
-    Numbers,
-    Quantity,
-    Record,
     Rig,
     Shot,
     Trial,
-    Unprinted,
 )
+from twin.study.reproduce.record import Numbers, Quantity, Record, Unprinted
 
 PITCH_MM, BAND_MM, SHAPE_BAND_MM = 1.5, 0.8, 4.0
 WIDTHS_MM = (2.0, 4.0, 6.0, 8.0, 10.0)

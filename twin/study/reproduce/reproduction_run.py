@@ -27,10 +27,11 @@ from twin.blas_threads import one_thread
 from twin.errors import InputError, TwinError, did_you_mean
 from twin.files import make_folder, write_whole
 from twin.study.recipe import load_scene
-from twin.study.reproduce.bench import FITTED, SCENES, Bench, Entry, Record
+from twin.study.reproduce.bench import FITTED, SCENES, Bench, Entry
 from twin.study.reproduce.design_limits import DESIGN_LIMITS, in_short
 from twin.study.reproduce.finger_figures import FINGER_FIGURES
 from twin.study.reproduce.flat_figures import FLAT_FIGURES
+from twin.study.reproduce.record import Record
 from twin.study.reproduce.shifted import SHIFTED
 
 Table = dict[str, Any]

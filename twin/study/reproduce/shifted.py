@@ -28,14 +28,11 @@ from twin.study.reproduce.bench import (
     Chain,
     Entry,
     Measure,
-    Numbers,
     Protocol,
-    Quantity,
     Reading,
-    Record,
-    Unprinted,
     Way,
 )
+from twin.study.reproduce.record import Numbers, Quantity, Record, Unprinted
 
 SECOND = (
     "noise common to both pictures off: a second exposure displaced instead of the rest "
