@@ -576,14 +576,14 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
     depth = np.array([FIDELITIES.index(f) for f in done.fidelity])
     order = np.lexsort((done.score, -depth))
     done.order = order[(done.status == "ok")[order]]
-    coarse, done.warnings = _coarse(done)
+    coarse, done.warnings, enough = _coarse(done)
     inverse = done.designs.scene.reconstruction
     if inverse is not None and inverse.method == "local" and (done.fidelity == "linear").any():
         done.warnings.append(
             "the linear fidelity takes method smooth for local, which is not linear: with one "
             'layer of markers its force errors are far too large; add "full" to fidelity'
         )
-    done.notes = _notes(done, runner, coarse)
+    done.notes = [*enough, *_notes(done, runner, coarse)]
     return done
 
 
@@ -597,22 +597,35 @@ def _put(
                 columns.setdefault(f"{stage}_{name}", np.full(count, np.nan))[number] = value
 
 
-def _coarse(done: Swept) -> tuple[Bools, list[str]]:
-    """Return which designs' widths are those of their sites, and a warning of them."""
+def _coarse(done: Swept) -> tuple[Bools, list[str], list[str]]:
+    """Return which designs' widths are those of their sites; a warning of them where less is
+    resolved than is wanted, else a note."""
     none = np.full(len(done.designs), np.nan)
     found = done.columns.get("linear_two_point_mm", none)
     sites = done.columns.get("linear_sites_mm", none)
     with np.errstate(invalid="ignore"):
         coarse: Bools = np.asarray(found <= NEAR * sites)
     if not coarse.any():
-        return coarse, []
+        return coarse, [], []
     sweep = done.designs.sweep
     wanted = sweep.targets.get("two_point_mm", sweep.loads.pair_mm)
-    return coarse, [
-        f"{int(coarse.sum())} of {int((~np.isnan(found)).sum())} designs resolve two points as "
-        "near as their sites can, so that this distance does not rank them: "
-        f"{_advice(float(sites[coarse].max()), wanted)}"
-    ]
+    least = float(sites[coarse].max())
+    said = (
+        f"{int(coarse.sum())} of {int((~np.isnan(found)).sum())} designs tell two points apart as "
+        f"finely as their sites allow, from {least:.3g} mm on, so this distance does not rank them"
+    )
+    if least <= wanted:
+        finer = "finer sites under [set] would rank them"
+        return coarse, [], [f"{said}. All of them reach the {wanted:.3g} mm wanted; {finer}"]
+    return coarse, [f"{said}; {_finer_sites(wanted)}"], []
+
+
+def _finer_sites(wanted_mm: float) -> str:
+    """Return what to set for sites that resolve what is wanted."""
+    return (
+        f"set reconstruction.sites.pitch_mm = {FINE * wanted_mm:.2g} or less under [set], "
+        "with more columns and rows to cover the presses"
+    )
 
 
 def _notes(done: Swept, runner: _Runner, coarse: Bools) -> list[str]:
@@ -640,20 +653,6 @@ def _notes(done: Swept, runner: _Runner, coarse: Bools) -> list[str]:
             f"times and prepared {runner.made} times"
         )
     return notes
-
-
-def _advice(sites_mm: float, wanted_mm: float) -> str:
-    """Return what the sites resolve, and what to set where that is less than what is wanted."""
-    least = f"the sites' pitch resolves two points from {sites_mm:.3g} mm on"
-    if sites_mm <= wanted_mm:
-        return (
-            f"{least}, which is all that is wanted ({wanted_mm:.3g} mm); finer sites under "
-            "[set] would rank them"
-        )
-    return (
-        f"{least}; set reconstruction.sites.pitch_mm = {FINE * wanted_mm:.2g} or less under [set], "
-        "with more columns and rows to cover the presses"
-    )
 
 
 def _metric(columns: Mapping[str, Floats], name: str, upto: str = "full") -> Floats | None:
@@ -856,7 +855,7 @@ def _overview(sweep: Sweep, scene: Scene) -> tuple[list[str], Ints, Designs]:
         if least > target:
             lines.append(
                 f"warning     targets.two_point_mm = {target:g} can't be met: "
-                f"{_advice(least, target)}"
+                f"the sites resolve two points from {least:.3g} mm on; {_finer_sites(target)}"
             )
     return lines, good, designs
 
