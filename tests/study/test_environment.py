@@ -189,6 +189,12 @@ BALL = twin.Sphere(diameter_mm=6)
             {"steps": [twin.Step(force_n={"z": 0.8})]},
             [{"force_n": {"z": 1.0}}, {"force_n": {"z": 0.5}}],
         ),
+        pytest.param(
+            {"material.law": "neo_hookean"},
+            {"friction": 0.5, "steps": [twin.Step(force_n={"z": 1.0})]},
+            [{"force_n": {"z": 1.0, "x": 0.2}}, {"force_n": {"z": 1.0, "x": 0.1}}],
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_path_that_goes_on_is_solved_from_where_it_ended(

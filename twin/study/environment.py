@@ -165,7 +165,7 @@ class Environment:
             The load that is reached, or a press, or a step that follows those of the press before.
             With seconds, a press's steps do so, too. What is followed is solved again only where
             the contact outgrows its grid of patches, as under a probe that slides further and
-            further, and at finite strain with friction.
+            further, or at finite strain with friction its mesh.
         seconds
             Time in which the load changes linearly from the one before, or which the steps of the
             press share evenly; what came since the last without seconds, or `reset`, counts. None

@@ -485,8 +485,8 @@ def _check(sweep: Sweep, scene: Scene) -> None:
         problems.append(f"{where}: it has no markers")
     if scene.material.law != "linear" or "material.law" in sweep.axes:
         problems.append(
-            "material.law: a sweep's loads are given tractions, and at finite strain only probes "
-            "pressed on a block are solved (docs/validity.md); leave it linear"
+            "material.law: a sweep's loads are given tractions, and at finite strain only presses "
+            "of probes are solved (docs/validity.md); leave it linear"
         )
     if scene.material.relaxation:
         problems.append(

@@ -54,6 +54,11 @@ _REACH = 1.6
 """Points so far from the contact's middle, over its radius, may touch."""
 
 
+_ASIDE, _WIDER = 0.2, 0.1
+"""Contacts of a path whose middles and radii differ by less, over the radius, are one to the mesh:
+less than half its edges."""
+
+
 @dataclass(frozen=True)
 class _Fineness:
     """The longest edge under the probe over the contact's radius, its growth away from there,
@@ -165,14 +170,10 @@ class BodyStrain(FiniteStrain):
         if not path:
             self._controls = [steps[-1:] for steps in self._controls]
         self._like = like
-        touching = [one for one in self._path if one.load.terms] if self._rubs else [state]
-        self._contacts: list[tuple[Approach, list[tuple[Floats, float]]]] = [
-            (approach, [_place(_probes(there)[number]) for there in touching])
-            for number, approach in enumerate(approaches)
+        touching = self._path if self._rubs else [state]
+        self._contacts = [
+            (approach, _touched(touching, number)) for number, approach in enumerate(approaches)
         ]
-        if self._rubs:  # a long slide touches between the ends of its steps, too
-            approach, near = self._contacts[0]
-            self._contacts = [(approach, _filled(near))]
         if like is not None:
             self._contacts = like._contacts
         if len(watched) == 0:  # below the contact, up to its radius deep
@@ -208,6 +209,10 @@ class BodyStrain(FiniteStrain):
             force=float(np.linalg.norm(guided) / np.linalg.norm(force)),
             markers=found.markers + _RUBS_OVER_CUBE * self.linear_error**3,
         )
+
+    def leads_to(self, path: Sequence[ContactState]) -> bool:
+        """Return whether a longer path has the same mesh, so that it goes on from here."""
+        return len(_touched(path)) == len(self._contacts[0][1])
 
     def _solved(self, coarser: bool) -> _Pair:
         """Return both solutions on a mesh; where a press is nearly equal, on its own."""
@@ -425,13 +430,18 @@ def _place(state: ContactState) -> tuple[Floats, float]:
     return np.asarray(patches.centre_mm.mean(axis=0)), state.contact_radius_mm
 
 
-def _filled(near: list[tuple[Floats, float]]) -> list[tuple[Floats, float]]:
-    """Return middles and radii of contacts with more on the way, none a radius from the next."""
+def _touched(path: Sequence[ContactState], number: int = 0) -> list[tuple[Floats, float]]:
+    """Return middles and radii of a probe's contacts along a path, none much like one before, and
+    of more on the way, as a long slide touches between the ends of its steps, too."""
+    near = [_place(_probes(one)[number]) for one in path if one.load.terms]
     found = near[:1]
     for (before, small), (after, size) in pairwise(near):
         count = math.ceil(float(np.linalg.norm(after - before)) / min(small, size))
         for share in np.arange(1, count + 1) / max(count, 1):
-            found.append((before + share * (after - before), small + share * (size - small)))
+            middle, radius = before + share * (after - before), small + share * (size - small)
+            apart = [(np.linalg.norm(middle - at), abs(radius - r), r) for at, r in found]
+            if all(max(aside / _ASIDE, wider / _WIDER) > r for aside, wider, r in apart):
+                found.append((middle, radius))
     return found
 
 

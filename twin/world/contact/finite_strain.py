@@ -125,18 +125,27 @@ def at_finite_strain(
     `Load.strained` is the difference. ``judge`` is called with every estimated error; ``solve``
     returns the linear solution of another press; the others are those of `SlabStrain`, with what
     it raises, and `BodyStrain`. A ContactError has the state before the step that fails. States
-    without friction that a ``memory`` has are not solved again.
+    that a ``memory`` has are not solved again, unless a path with friction needs another mesh.
     """
     axes = Approach.of_press(press, body).axes
     controls = press.in_own_axes(axes)
     path: list[ContactState] = []
     more: FiniteStrain | None = None
-    known = {} if memory is None else {id(linear): found for linear, found in memory.strained}
+    memory = PathMemory() if memory is None else memory
+    if press.friction and memory.strained:
+        from twin.world.contact.body_strain import BodyStrain
+
+        ended = memory.strained[-1][1].load.strained
+        if isinstance(ended, BodyStrain) and ended.leads_to(state.path):
+            more = ended
+        else:
+            memory.strained.clear()
+    known = {id(linear): found for linear, found in memory.strained}
     for one, (by_force, _) in zip(state.path, controls, strict=False):
         if not one.load.terms or id(one) in known:
             path.append(known.get(id(one), one))
             continue
-        before = more if press.friction > 0.0 else None
+        before = more if press.friction else None
         try:
             more = _strain_of(press, body, material, one, watched, like=before, path=state.path)
             found = _Found(one, more, 0.0, axes)
@@ -152,8 +161,7 @@ def at_finite_strain(
                 problem.last_state = last
             raise
         path.append(_strained(found, one, material.law, judge))
-        if memory is not None and not press.friction:
-            memory.strained.append((one, path[-1]))
+        memory.strained.append((one, path[-1]))
     return replace(path[-1], path=tuple(path), complete=state.complete, reason=state.reason)
 
 
