@@ -263,7 +263,7 @@ def run(
     --want takes any of displacement, picture, tracking, forces, score, report, separated by commas.
     Only these, and what they need, are computed; other files are absent. Where a step of the press
     after the first has no equilibrium or doesn't converge, the results of the step before are
-    saved, and the exit code is 3.
+    saved, and the exit code is 3; so it is where the pictures give no motion or no forces.
 
     With --live nothing is written: a page opens at the address that is printed, where keys, sliders
     or the pointer move and load the scene's probe, and picture and force field follow, with their

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import twin
-from twin.errors import RecipeError
+from twin.errors import RecipeError, SomeFailed
 from twin.results import RESULT_FILES, Estimate, RunResult, Truth
 from twin.sense.track import Found
 from twin.study.calibrate import calibration_of
@@ -44,8 +44,9 @@ def test_only_wanted_files_are_written_and_old_ones_removed(want: set[str], file
 
 def test_a_picture_without_markers_leaves_truth_and_says_why(tmp_path: Path) -> None:
     scene = twin.load_scene("kamiyama_pillar", {**SMALL, "camera.width_px": 4, "camera.height_px": 4})
-    summary = run_to_folder(scene, tmp_path, {"displacement", "picture", "tracking", "score"})
-    assert "force       failed: only 0 of 59 markers were found" in summary
+    with pytest.raises(SomeFailed) as failed:
+        run_to_folder(scene, tmp_path, {"displacement", "picture", "tracking", "score"})
+    assert "force       failed: only 0 of 59 markers were found" in str(failed.value)
     assert (tmp_path / "truth.npz").is_file()
     assert '"force": null' in (tmp_path / "score.json").read_text()
 
@@ -200,6 +201,8 @@ def test_few_markers_are_warned_of(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     track = twin.track
     monkeypatch.setattr("twin.sense.track.track", nearly_blind)
-    text = run_to_folder(twin.load_scene("kamiyama_pillar", SMALL), tmp_path, {"tracking", "score"})
+    with pytest.raises(SomeFailed) as failed:
+        run_to_folder(twin.load_scene("kamiyama_pillar", SMALL), tmp_path, {"tracking", "score"})
+    text = str(failed.value)
     assert re.search(r"warning     only 1 of the \d+ markers in full sight", text)
     assert "tracking    no SD" in text

@@ -137,7 +137,8 @@ def run_to_folder(
     ------
     SomeFailed
         A step of the press after the first has no equilibrium or does not converge: the files,
-        and the facts in score.json, are those of the state before it.
+        and the facts in score.json, are those of the state before it. Or the sensor's software
+        found no markers or no forces in the pictures: the other files are complete.
     """
     wanted = frozenset(want)
     sensor, needed = _checked(scene, wanted, wanted != WANTED, progress)
@@ -160,7 +161,11 @@ def run_to_folder(
     # A path that stopped early has results, and an exit code of its own.
     if (reason := result.facts.get("contact", {}).get("incomplete")) is not None:
         raise SomeFailed(f"press: {reason}; what belongs to that state is in {folder}")
-    return f"{result.summary()}\nwritten to  {folder}"
+    summary = f"{result.summary()}\nwritten to  {folder}"
+    if failed := result.facts.get("failed"):
+        stage, reason = next(iter(failed.items()))
+        raise SomeFailed(f"{stage} failed: {reason}\n{summary}")
+    return summary
 
 
 @one_blas_thread()
@@ -318,6 +323,8 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
         warned += _unseen(scene, shift_px, noise_px)
     if warned := [*warned, *_tracking_doubt(tracking)]:
         facts["warnings"] = warned
+    if failures:
+        facts["failed"] = failures
     if state is not None:
         facts |= _press_facts(state) | _course(scene, state, ends_s)
     if state is not None and forces is not None and "creep_error" in errors["elastic"]:
