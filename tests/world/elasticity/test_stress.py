@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from standard_bodies import BLOCK, BODIES, LOOSE, forces_on, nearest_node, rectangles
+from standard_bodies import BLOCK, BODIES, LOOSE, forces_on, nearest_node, rectangles, write_stl
+from trimesh.convex import convex_hull
 
 from twin.errors import InputError
 from twin.files import MESHES
-from twin.parts.body import Block
+from twin.parts.body import Block, Solid
 from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
 from twin.theory import halfspace
@@ -56,6 +57,31 @@ def imbalance(name, stiff, load):
     forces = unbalanced(TaylorHood(stiff.mesh, 0.5), LOOSE[name], [load])[0]
     total = load.force_n.sum(axis=0)
     return np.linalg.norm(forces.sum(axis=0)[:, 0] - total) / np.linalg.norm(total)
+
+
+def test_tractions_on_a_tower_of_triangles_balance_the_load_and_the_clamp(tmp_path):
+    """What is off here bends a tall body by many times its share."""
+    height, turn = 30.0, 2.0 * np.pi * np.arange(8) / 7
+    ring = 8.0 * np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
+    up = np.array([0.0, 0.0, height])
+    corners = np.array(convex_hull(np.vstack([ring, ring + up])).triangles)
+    held, sensing = ({"normal": (0, 0, z), "within_deg": 5} for z in (1, -1))
+    body = Solid(file=str(write_stl(tmp_path / "tower.stl", corners)), held=held, sensing=sensing)
+    stiff = Compliance(body, Material(youngs_modulus_mpa=1.0, poisson_ratio=0.5), level="sketch", table=False)
+    load = square((5.5, -1.0), 2.0, body)
+    forces = unbalanced(stiff.system, body, [load])[0][:, :, 0]
+    # The clamp's tractions, on seven triangles from its middle, each cut into 60 x 60 places.
+    out, along = np.stack(np.meshgrid(*[(np.arange(60) + 0.5) / 60] * 2)).reshape(2, 1, -1, 1)
+    places = (out * (ring[:-1, None] + along * (ring[1:] - ring[:-1])[:, None])).reshape(-1, 3)
+    places += up
+    areas = np.tile(out.ravel(), 7) * 64.0 * np.sin(turn[1]) / 60**2
+    clamp = halfspace.stress(places, load, 0.5)[:, :, 2] * areas[:, None]
+    pushed = load.force_n
+    force = pushed.sum(axis=0) + clamp.sum(axis=0)
+    torque = np.cross(load.centre_mm, pushed).sum(axis=0) + np.cross(places, clamp).sum(axis=0)
+    size = np.linalg.norm(pushed.sum(axis=0))
+    assert_allclose(forces.sum(axis=0), force, atol=2e-5 * size)
+    assert_allclose(np.cross(stiff.mesh.points, forces).sum(axis=0), torque, atol=2e-5 * height * size)
 
 
 def push(mesh, forces=tuple((f,) for f in PUSH)):

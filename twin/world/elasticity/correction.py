@@ -83,11 +83,15 @@ def unbalanced(
     shares = _shear_shares(system)
     swelling = (top.softness - shares * [of.softness for of in system.made_of])[mesh.region]
     layer = BondedLayer.of(body, top.poisson_ratio) if len(system.made_of) == 1 else None
+    balanced = len(system.made_of) == 1 and layer is None and system.held.any()
+    below = _Skin.of(system, body, held=True) if balanced else None
     forces, held, swollen = [], [], []
     for load, cases in zip(
         loads, columns or [load.force_n[:, :, None] for load in loads], strict=True
     ):
         forces.append(_nodal_forces(surface, load, cases, top.poisson_ratio, layer))
+        if below is not None:
+            _balance(surface, below, load, cases, top.poisson_ratio, forces[-1])
         swollen.append(_dilation(mesh, system.pressure, swelling, load, cases, top.poisson_ratio))
         held.append(np.zeros_like(forces[-1]))
         if layer is None:  # else the known part is zero there
@@ -178,8 +182,8 @@ def _distant(
     return tx, ty, tz
 
 
-_SKINS: WeakKeyDictionary[TaylorHood, _Skin] = WeakKeyDictionary()
-"""The skin of every system that was loaded."""
+_SKINS: WeakKeyDictionary[TaylorHood, dict[bool, _Skin]] = WeakKeyDictionary()
+"""The skin of every system that was loaded, and that which is held."""
 
 
 @dataclass(frozen=True)
@@ -197,17 +201,18 @@ class _Skin:
     inside: Bools
 
     @classmethod
-    def of(cls, system: TaylorHood, body: Body) -> _Skin:
-        """Return the free faces, weighted by their region's share of the half-space's stress, and
-        the interfaces."""
-        if system not in _SKINS:
-            _SKINS[system] = cls._made(system, body)
-        return _SKINS[system]
+    def of(cls, system: TaylorHood, body: Body, *, held: bool = False) -> _Skin:
+        """Return the free faces, or those ``held``, weighted by their region's share of the
+        half-space's stress, and the interfaces."""
+        known = _SKINS.setdefault(system, {})
+        if held not in known:
+            known[held] = cls._made(system, body, held)
+        return known[held]
 
     @classmethod
-    def _made(cls, system: TaylorHood, body: Body) -> _Skin:
+    def _made(cls, system: TaylorHood, body: Body, held: bool) -> _Skin:
         mesh, shares = system.mesh, _shear_shares(system)
-        outside = ~np.isin(mesh.piece, body.held_pieces)
+        outside = np.isin(mesh.piece, body.held_pieces) == held
         faces = mesh.faces[outside]
         sheet = body.sheets_of(mesh.points[faces], mesh.piece[outside])
         weight = shares[mesh.regions_behind(faces)]
@@ -255,6 +260,19 @@ class _Skin:
     def whole_quadrature(self) -> tuple[Points, Floats, Floats]:
         """The `quadrature` of the whole faces."""
         return self.quadrature(*_whole(len(self.faces)))
+
+    @cached_property
+    def spread(self) -> tuple[Floats, Floats]:
+        """Rigid motions of the nodes (N, 3, 6), and forces spread evenly over the faces, in
+        proportion to them, that add up to unit forces and torques."""
+        _, areas, values = self.whole_quadrature
+        size = np.linalg.norm(areas, axis=2)[..., None] * values
+        weight = np.bincount(self.faces.ravel(), size.sum(axis=1).ravel(), len(self.points))
+        turned = np.cross(np.eye(3)[None], self.points[:, None])
+        rigid = np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=1)
+        rigid = rigid.swapaxes(1, 2)
+        evenly = weight[:, None, None] * rigid
+        return rigid, evenly @ np.linalg.inv(np.einsum("nia,nib->ab", rigid, evenly))
 
     def quadrature(self, face: Ints, triangles: Floats) -> tuple[Points, Floats, Floats]:
         """Return true surface places (t, g, 3), weighted area vectors (t, g, 3) and shape functions
@@ -387,26 +405,59 @@ def _nodal_forces(
     unbalanced = ~_in_plane(surface.points[surface.faces], load) & (surface.weight != 0.0)
     balls = _balls(load)
     columns = for_kernel(columns)
-    coarse, sums = _from_afar(load, columns)
+    afar = _from_afar(load, columns)
     for inside in (False, True):
         chosen = np.flatnonzero(unbalanced & (surface.inside == inside))
         if len(chosen) == 0:
             continue
         at = _quadrature(surface, chosen, *balls, FINEST_INSIDE if inside else FINEST)
-        points, areas, values, nodes = at
-        away = np.min(
-            np.linalg.norm(points[:, None] - balls[0], axis=2) / np.maximum(balls[1], 1e-300),
-            axis=1,
-        )
-        far = away > DISTANT
-        for part, forces, loads in ((~far, columns, load), (far, sums, coarse)):
-            add = _add_exactly if inside else _add
-            some = points[part], areas[part], values[part], nodes[part]
-            add(some, loads, forces, poisson_ratio, out)
+        _add_parts(at, balls, (load, columns), afar, poisson_ratio, out, exactly=inside)
         if layer is not None:
+            points, areas, values, nodes = at
             forces = layer.tractions(points, areas, load, columns)
             np.subtract.at(out, nodes, values[:, :, None, None] * forces[:, None])
     return out
+
+
+def _add_parts(
+    at: _Quadrature,
+    balls: tuple[Points, Floats],
+    near: tuple[Rectangles, Floats],
+    afar: tuple[Rectangles, Floats],
+    nu: float,
+    out: Floats,
+    *,
+    exactly: bool = False,
+) -> None:
+    """Add to the nodal forces (N, 3, m) the tractions of a load at places ``near`` it, and of the
+    point forces that stand for it at those ``afar``."""
+    distance = np.linalg.norm(at[0][:, None] - balls[0], axis=2)
+    far = np.min(distance / np.maximum(balls[1], 1e-300), axis=1) > DISTANT
+    add = _add_exactly if exactly else _add
+    for part, (load, columns) in ((~far, near), (far, afar)):
+        points, areas, values, nodes = at
+        add((points[part], areas[part], values[part], nodes[part]), load, columns, nu, out)
+
+
+def _balance(
+    surface: _Skin, below: _Skin, load: Rectangles, columns: Floats, nu: float, out: Floats
+) -> None:
+    """Make nodal forces (N, 3, m) of free faces balance the load and the half-space's tractions on
+    the held ones ``below``.
+
+    By the faces' quadrature they are off by 1e-4 of the load, and that bends a tall body by many
+    times its share.
+    """
+    on_held = np.zeros_like(out)
+    balls = _balls(load)
+    columns = for_kernel(columns)
+    at = _quadrature(below, np.arange(len(below.faces)), *balls, FINEST)
+    _add_parts(at, balls, (load, columns), _from_afar(load, columns, merge=False), nu, on_held)
+    rigid, evenly = surface.spread
+    arm = np.cross(load.centre_mm[:, :, None], columns, axis=1)
+    given = np.concatenate([columns, arm], axis=1).sum(axis=0)
+    missing = given - np.einsum("nia,nim->am", rigid, on_held + out)
+    out += np.einsum("nia,am->nim", evenly, missing)
 
 
 def _quadrature(
@@ -423,7 +474,9 @@ def _quadrature(
     return points, areas, values, surface.faces[each]
 
 
-def _from_afar(load: Rectangles, columns: Floats) -> tuple[Rectangles, Floats]:
+def _from_afar(
+    load: Rectangles, columns: Floats, *, merge: bool = True
+) -> tuple[Rectangles, Floats]:
     """Return point forces (c) and their values (c, 3, m) that stand for a load at a distance.
 
     Four in every rectangle, for a wide one's spread counts far away too; those of a fine load are
@@ -435,7 +488,7 @@ def _from_afar(load: Rectangles, columns: Floats) -> tuple[Rectangles, Floats]:
     frames, forces = np.repeat(load.frames, 4, axis=0), np.repeat(columns / 4.0, 4, axis=0)
     merged = (
         _merged(centre, frames, forces)
-        if len(load) >= MERGEABLE and columns.shape[2] == 1
+        if merge and len(load) >= MERGEABLE and columns.shape[2] == 1
         else None
     )
     centre, frames, forces = merged or (centre, frames, forces)
