@@ -190,7 +190,7 @@ def conditions(diameter: float, repeats: int) -> Iterator[dict[str, Any]]:
             f"strained, axis ratio {ratio}", lambda i, s=turned: expose(clear(card, shifts[i], stretch=s), 20 + i)
         )
     for psf in (1.3, 1.6, 2.0):
-        yield measured(f"blur .7 to {psf} px", lambda i, b=psf: expose(clear(card, shifts[i], psf=b), 20 + i))
+        yield measured(f"blur 0.7 to {psf} px", lambda i, b=psf: expose(clear(card, shifts[i], psf=b), 20 + i))
     for name, camera in (
         ("JPEG 85, 4:2:0", jpeg),
         ("JPEG 60, 4:2:0", lambda p: jpeg(p, 60)),
@@ -223,7 +223,7 @@ def conditions(diameter: float, repeats: int) -> Iterator[dict[str, Any]]:
     row_, column = np.indices(rest.shape[:2]) - (np.array(rest.shape[:2]) / 2)[:, None, None]
     fall = 1.0 - 0.72 * (row_**2 + column**2) / (np.array(rest.shape[:2]) ** 2 / 4).sum()
     yield measured(
-        "vignetting to .28",
+        "vignetting to 0.28",
         lambda i: expose(clear(card, shifts[i], gain=fall[..., None]), 20 + i),
         expose(clear(card, gain=fall[..., None]), 1),
     )
