@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -55,7 +55,16 @@ def html_table(title: str, rows: Mapping[str, str], picture: str = "") -> str:
 
 
 class Table:
-    """A result with `columns` of equal length."""
+    """A result with `columns` of equal length, and a short table for notebooks."""
+
+    _title: ClassVar[str]
+
+    def _rows(self) -> Mapping[str, str]:
+        """Return the facts of the short table by name; empty ones are left out."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title, self._rows())
 
     def columns(self) -> dict[str, Any]:
         """Return the columns by name."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -47,6 +47,8 @@ class Truth(Table):
         (3,) resultants, N and N mm about the origin.
     """
 
+    _title: ClassVar[str] = "What happened"
+
     marker_rest_mm: Points
     marker_displacement_mm: Points
     marker_layer: np.ndarray
@@ -61,8 +63,14 @@ class Truth(Table):
     total_torque_nmm: Floats
 
     def __repr__(self) -> str:
-        counts = [f"{len(self.marker_rest_mm)} markers", f"{len(self.surface_mm)} pieces pressed"]
-        return one_line("Truth", [*counts, f"total {vector(self.total_force_n, 'N')}"])
+        return one_line("Truth", [f"{name} {value}" for name, value in self._rows().items()])
+
+    def _rows(self) -> dict[str, str]:
+        return {
+            "markers": str(len(self.marker_rest_mm)),
+            "pieces pressed": str(len(self.surface_mm)),
+            "total force": vector(self.total_force_n, "N"),
+        }
 
     def force_at(self, site_mm: Points) -> Floats:
         """Return (k, 3) true forces, N, summed into the cells of their nearest sites, as scored."""
@@ -98,6 +106,8 @@ class Estimate(Table):
         wanted.
     """
 
+    _title: ClassVar[str] = "What the sensor's software found"
+
     marker_rest_px: Pixels
     marker_shift_px: Pixels
     site_mm: Points
@@ -106,11 +116,15 @@ class Estimate(Table):
     total_torque_nmm: Floats
 
     def __repr__(self) -> str:
+        return one_line("Estimate", [f"{name} {value}" for name, value in self._rows().items()])
+
+    def _rows(self) -> dict[str, str]:
         seen = int(np.isfinite(self.marker_shift_px).all(axis=1).sum())
-        facts = [f"{seen} of {len(self.marker_shift_px)} markers found"]
+        rows = {"markers": f"{seen} of {len(self.marker_shift_px)} seen"}
         if len(self.site_mm):
-            facts += [f"{len(self.site_mm)} sites", f"total {vector(self.total_force_n, 'N')}"]
-        return one_line("Estimate", facts)
+            rows["sites"] = str(len(self.site_mm))
+            rows["total force"] = vector(self.total_force_n, "N")
+        return rows
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return a row for every site: place, mm, and force, N."""

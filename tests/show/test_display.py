@@ -60,7 +60,10 @@ def in_notebook(result) -> str:
 def test_a_result_says_in_a_line_what_it_came_to() -> None:
     result = run_result()
     assert repr(result) == "RunResult(true force (0, 0, 2) N, marker noise 0.012 px, total force error 2.1 %)"
-    assert repr(result.estimate) == "Estimate(8 of 9 markers found, 9 sites, total (0, 0, 2) N)"
+    assert repr(result.estimate) == "Estimate(markers 8 of 9 seen, sites 9, total force (0, 0, 2) N)"
+    assert repr(result.truth) == "Truth(markers 9, pieces pressed 2, total force (0, 0, 2) N)"
+    for part in (result.truth, result.estimate):
+        assert "total force" in in_notebook(part)
     assert repr(RunResult(scene_toml="")) == "RunResult()"
     assert "total force error" in in_notebook(result)
 

@@ -39,7 +39,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
 from types import NoneType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -47,7 +47,6 @@ from twin.arrays import Bools, Floats, Points, frozen
 from twin.blas_threads import one_blas_thread
 from twin.display import (
     Table,
-    html_table,
     new_axes,
     one_line,
     plot_forces,
@@ -100,6 +99,8 @@ class Field(Table):
         constraints.
     """
 
+    _title: ClassVar[str] = "Reconstructed force field"
+
     site_mm: Points
     force_n: Floats
     total_force_n: Floats
@@ -121,9 +122,6 @@ class Field(Table):
 
     def __repr__(self) -> str:
         return one_line("Field", [f"{name} {value}" for name, value in self._rows().items()])
-
-    def _repr_html_(self) -> str:
-        return html_table("Reconstructed force field", self._rows())
 
     def _rows(self) -> dict[str, str]:
         largest = float(np.abs(self.force_n[:, 2]).max(initial=0.0))

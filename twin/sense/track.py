@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Picture, Pixels, frozen
 from twin.blas_threads import one_blas_thread
-from twin.display import Table, html_table, new_axes, one_line, plot_shifts
+from twin.display import Table, new_axes, one_line, plot_shifts
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import AMBIGUOUS, MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
@@ -82,6 +82,8 @@ class Found(Table):
         searched.
     """
 
+    _title: ClassVar[str] = "Marker motion"
+
     rest_px: Pixels
     shift_px: Pixels
     sd_px: Floats
@@ -108,9 +110,6 @@ class Found(Table):
 
     def __repr__(self) -> str:
         return one_line("Found", [f"{name} {value}" for name, value in self._rows().items()])
-
-    def _repr_html_(self) -> str:
-        return html_table("Marker motion", self._rows())
 
     def _rows(self) -> dict[str, str]:
         rows = {"markers": f"{int(self.seen.sum())} of {len(self.seen)} seen"}

@@ -9,12 +9,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, frozen
-from twin.display import Table, html_table, new_axes, one_line, plot_patches, vector
+from twin.display import Table, new_axes, one_line, plot_patches, vector
 from twin.parts.load import Load, Rectangles
 from twin.parts.press import Cone, Sphere
 from twin.theory.contact import ERROR_BOUND, KNOWN_RADIUS, SHEARED, law_of
@@ -310,6 +310,8 @@ class ContactState(Table):
         Computes ``error``.
     """
 
+    _title: ClassVar[str] = "Contact"
+
     load: Load
     indentation_mm: float
     move_mm: Floats
@@ -453,9 +455,6 @@ class ContactState(Table):
 
     def __repr__(self) -> str:
         return one_line("ContactState", [f"{k} {v}" for k, v in self._rows().items()])
-
-    def _repr_html_(self) -> str:
-        return html_table("Contact", self._rows())
 
     def _rows(self) -> dict[str, str]:
         slips = int(self.slip.sum())
