@@ -270,8 +270,9 @@ def run(
     errors. It listens on this machine only. Fewer contact patches and coarser pictures than the
     scene's are the default.
 
-    With --film the folder (default out/<scene>/film) gets frames/000000.png and so on, rest.png,
-    and truth.npz: of every frame time, force, contact, slip of every patch, and markers' places.
+    With --film the folder (default out/<scene>/film) gets frames/000000.png and so on, rest.png (or
+    a folder rest with one for each group of LEDs in light.lit), and truth.npz: of every frame time,
+    force, contact, slip of every patch, and markers' places.
     With --h264 frames.mp4 holds the frames (pip install imageio-ffmpeg). twin reconstruct reads
     both. Ctrl-C keeps what is filmed.
 
@@ -808,7 +809,12 @@ def calibrate(
 
 @_lines_as_json
 def reconstruct(
-    rest: Annotated[Path, Parameter(help="Picture without load: PNG, BMP or JPEG.")],
+    rest: Annotated[
+        Path,
+        Parameter(
+            help="Picture without load: PNG, BMP or JPEG; or a folder, one for each group of LEDs."
+        ),
+    ],
     frames: Annotated[
         tuple[str, ...],
         Parameter(

@@ -149,11 +149,11 @@ def test_a_film_has_the_truth_of_its_frames_and_the_tracker_reads_it_back(tmp_pa
     assert np.abs(truth["marker_outline_px"] - truth["marker_outline_rest_px"])[4].max() > 3
 
 
-def worst_rms(scene, folder: Path, frames: list[np.ndarray]) -> float:
+def worst_rms(scene, folder: Path, frames: list[np.ndarray], rests: list[np.ndarray] | None = None) -> float:
     """Return the largest root mean square error of tracking, px, over the frames of a film."""
     truth = read_arrays(folder / "truth.npz")
     assert len(frames) == len(truth["time_s"])
-    tracker = Tracker(read_picture(folder / "rest.png"), Sensor(scene).layout_px)
+    tracker = Tracker(rests or read_picture(folder / "rest.png"), Sensor(scene).layout_px)
     worst = 0.0
     for number, picture in enumerate(frames):
         true = truth["marker_outline_px"][number] - truth["marker_outline_rest_px"]
@@ -161,6 +161,32 @@ def worst_rms(scene, folder: Path, frames: list[np.ndarray]) -> float:
         assert np.isfinite(off).mean() > 0.95
         worst = max(worst, float(np.sqrt(np.nanmean(off**2))))
     return worst
+
+
+def test_frames_that_leds_light_in_turn_are_tracked_from_the_rest_pictures_of_their_groups(tmp_path: Path) -> None:
+    scene = sliding(**{"light.lit": [[0, 1], [2, 3]], "ccd.noise": False})
+    film_to_folder(scene, tmp_path)
+    assert not (tmp_path / "rest.png").exists()
+    rests, frames = (
+        [read_picture(path) for path in sorted((tmp_path / name).iterdir())] for name in ("rest", "frames")
+    )
+    np.testing.assert_array_equal(read_arrays(tmp_path / "truth.npz")["lit"], [0, 1, 0, 1, 0])
+    sensor = Sensor(scene)
+    for group, rest in enumerate(rests):
+        np.testing.assert_array_equal(rest, sensor.picture(None, frame=2 + group))
+    assert worst_rms(scene, tmp_path, frames, rests) < 0.02
+    assert worst_rms(scene, tmp_path, frames, rests[:1]) > 0.03, "shades move the centres"
+    # The command reads the folder, and counts a frame that it can't read.
+    calibrate_to_file(scene, tmp_path / "gel.npz")
+    (tmp_path / "frames" / "000001.png").write_bytes(b"damaged")
+    paths = [str(tmp_path / name) for name in ("rest", "frames")]
+    with pytest.raises(SystemExit) as ended:
+        main(["reconstruct", *paths, "--calibration", str(tmp_path / "gel.npz"), "--out", str(tmp_path / "f.npz")])
+    assert ended.value.code == 3
+    rows, truth = read_arrays(tmp_path / "f.npz"), read_arrays(tmp_path / "truth.npz")
+    assert rows["ok"].tolist() == [True, False, True, True, True]
+    off_n = np.column_stack([rows[f"f{axis}_n"] for axis in "xyz"]) - truth["force_n"]
+    assert np.nanmax(np.abs(off_n[:, :2])) < 0.01
 
 
 @READING

@@ -261,6 +261,9 @@ class Light(Part):
         the LEDs' mean colour.
     colours
         Red, green and blue power of each LED; 1 each if there are none.
+    lit
+        Groups of LEDs, by their numbers from 0: frame k of a sequence, from 0, is lit by group k
+        modulo their number. Empty: all LEDs always shine.
     outside
         Red, green and blue light of the surroundings, 1 for white in the brightest marker's place,
         that the camera sees through rubber without a cover, or through one with ``transmittance``,
@@ -273,6 +276,7 @@ class Light(Part):
     radius_mm: float = Field(default=0.0, ge=0, le=50)
     ambient: float = Field(default=0.2, ge=0, le=1)
     colours: tuple[tuple[Power, Power, Power], ...] = ()
+    lit: tuple[tuple[int, ...], ...] = ()
     outside: tuple[Power, Power, Power] = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -283,6 +287,22 @@ class Light(Part):
             )
         if self.colours and not np.any(self.colours):
             raise ValueError("colours: every LED is dark; give one a power above 0")
+        return self
+
+    @model_validator(mode="after")
+    def _groups_are_of_leds(self) -> Light:
+        count = len(self.positions_mm)
+        for number, group in enumerate(self.lit):
+            if not group or len(set(group)) < len(group) or not set(group) <= set(range(count)):
+                raise ValueError(
+                    f"lit: group {number} is {list(group)}; give each group at least one of the "
+                    f"numbers 0 to {count - 1} of the {count} LEDs, each once"
+                )
+            if not self.powers[list(group)].any():
+                raise ValueError(
+                    f"lit: every LED of group {number}, {list(group)}, is dark by light.colours; "
+                    "give one a power above 0"
+                )
         return self
 
     @model_validator(mode="after")
@@ -312,6 +332,23 @@ class Light(Part):
         angle = np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
         table: Floats = np.interp(angle, angles, shares / shares.max(), right=0.0)
         return table
+
+    @property
+    def groups(self) -> list[Light]:
+        """The lights that take turns: each group of LEDs that shine together by itself."""
+        if not self.lit:
+            return [self]
+        places, colours = self.positions_mm, self.colours
+        return [
+            self.model_copy(
+                update={
+                    "positions_mm": tuple(places[led] for led in group),
+                    "colours": tuple(colours[led] for led in group) if colours else (),
+                    "lit": (),
+                }
+            )
+            for group in self.lit
+        ]
 
     @property
     def powers(self) -> Floats:

@@ -72,6 +72,7 @@ LATER: tuple[tuple[str, object], ...] = (
     ("albedo", None),
     ("transmittance", 0.0),
     ("outside", [0.0, 0.0, 0.0]),
+    ("lit", []),
     ("depth_mm", None),
     ("abbe_number", None),
     ("scratches", None),

@@ -7,7 +7,7 @@ rows; one that can't be measured is NaN, with a state that names the reason.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -227,7 +227,8 @@ class Tracker:
     Parameters
     ----------
     rest_image, layout, options
-        As for `track`.
+        As for `track`. Of LEDs that take turns a list of rest pictures, one in the light of each
+        group: frame k is compared with picture k modulo their number.
 
     Raises
     ------
@@ -255,7 +256,7 @@ class Tracker:
     @one_blas_thread()
     def __init__(
         self,
-        rest_image: Picture,
+        rest_image: Picture | Sequence[Picture],
         layout: Mapping[str, Pixels],
         *,
         diameter_px: float | None = None,
@@ -263,28 +264,47 @@ class Tracker:
         channels: Mapping[str, Weights] | None = None,
         method: CentreMethod = "disc-fit",
     ) -> None:
-        self.rest = analyse_rest(
-            rest_image,
-            layout,
-            diameter_px=diameter_px,
-            polarity=polarity,
-            channels=channels,
-            method=method,
-        )
+        several = isinstance(rest_image, list | tuple)
+        images = list(rest_image) if several else [np.asarray(rest_image)]
+        if not images:
+            raise InputError("rest_image: the list is empty; give one picture for each group")
+        self._rests = [
+            analyse_rest(
+                one,
+                layout,
+                diameter_px=diameter_px,
+                polarity=polarity,
+                channels=channels,
+                method=method,
+            )
+            for one in images
+        ]
+        self._frame = -1
         self._last_px: Pixels | None = None
         self._seen = np.zeros(len(self.rest.rest_px), np.bool_)
-        self._before = as_picture(rest_image, "the rest picture").copy()
+        self._before = [as_picture(one, "the rest picture").copy() for one in images]
         rough = min(group.roughness_px for group in self.rest.groups) > ROUGH_PX
         self._left_to_compare = COMPARED if rough else 0
 
+    @property
+    def rest(self) -> Rest:
+        """What is known of the rest picture that the last frame was compared with; at first of the
+        first one."""
+        return self._rests[max(self._frame, 0) % len(self._rests)]
+
     @one_blas_thread()
-    def track(self, image: Picture) -> Found:
-        """Measure the motion between rest and the next picture of the sequence."""
+    def track(self, image: Picture, frame: int | None = None) -> Found:
+        """Measure the motion between rest and the next picture of the sequence; ``frame`` is its
+        number from 0, where some were left out."""
+        self._frame = self._frame + 1 if frame is None else frame
         if self._left_to_compare and not self.rest.film:
             picture = as_picture(image, "the picture")
-            if picture.shape == self._before.shape:
-                self.rest = replace(self.rest, film=Flaws.repeats_blocks(self._before, picture))
-                self._before[:] = picture
+            own = self._frame % len(self._rests)
+            before = self._before[own]
+            if picture.shape == before.shape:
+                film = Flaws.repeats_blocks(before, picture)
+                self._rests[own] = replace(self.rest, film=film)
+                before[:] = picture
             self._left_to_compare -= 1
         found = track_frame(self.rest, image, self._last_px)
         if self._may_have_jumped(found):

@@ -265,10 +265,11 @@ class Environment:
         # What happens: displacement and picture.
         patches = sensor.rectangles(load)
         motion = sensor.quick_motion(load)
+        frame = self._exposure
         self._exposure += 1
-        picture = sensor.picture(motion, self._exposure)
+        picture = sensor.picture(motion, self._exposure, frame)
         # What the sensor's software makes of the picture.
-        found = tracker.track(picture)
+        found = tracker.track(picture, frame)
         if not found.seen.any():
             raise InputError(
                 "no marker was found in the picture: is the press far beyond what the sensor can "
@@ -316,7 +317,7 @@ class Environment:
             calibration = calibration_of(sensor)
             if isinstance(sensor.compliance, Compliance):
                 sensor.compliance.keep(sensor.actual.markers.points)
-            rest = sensor.picture(None)
-            tracker = Tracker(rest, sensor.layout_px, method=scene.tracking.method)
+            rests = sensor.rest_pictures
+            tracker = Tracker(rests, sensor.layout_px, method=scene.tracking.method)
             self._made = calibration, tracker
         return self._made

@@ -26,8 +26,8 @@ def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> l
     from twin.world.picture.stock_scene import check_stock, write_stock_scene
 
     sensor = Sensor(scene, progress)
-    actual = sensor.actual.scene
     renderer = sensor.renderer  # refuses a scene without a camera
+    actual = renderer.scene
     check_stock(actual)
     exposure = renderer.exposure
     # Discs that stand for points are mirrored in the window, points are not.
@@ -69,6 +69,8 @@ def _readme(scene: Scene, middle_mm: float, files: list[Path], brighter: float) 
             "that the probe lifts the cover (`cover.deforms`): it stands out of the cover, which "
             "it shadows beside it, by some per cent of the picture"
         ]
+    if light.lit:
+        left_out += ["all LEDs but the first group of `light.lit`"]
     if any(light.outside):
         left_out += ["the light of the surroundings (`light.outside`)"]
     if scene.material.abbe_number or any(layer.abbe_number for layer in camera.layers):

@@ -214,7 +214,7 @@ class Exposures:
                 fastest = max(fastest, float(np.nanmax(moved, initial=0.0) / took))
         return fastest
 
-    def light(self, time_s: float) -> Singles:
+    def light(self, time_s: float, frame: int = 0) -> Singles:
         """Return the (height, width, 3) light of an exposure whose middle is at a time."""
         from twin.world.picture.ccd import shutter
 
@@ -225,21 +225,23 @@ class Exposures:
         assert camera is not None
         speed = self.speed_px_s(time_s, (ccd.exposure_ms + ccd.readout_ms) / 2000)
         offset_s, weights = shutter(ccd, camera.height_px, speed)
+        renderer = sensor.renderer_of(frame)
         light: Singles = np.zeros((camera.height_px, camera.width_px, 3), np.float32)
         for offset, weight in zip(offset_s, weights.T, strict=True):
             motion = self.motion(time_s + offset)
-            one = sensor.renderer.radiance(sensor.ellipsoids(motion), motion.cover)
+            one = renderer.radiance(sensor.ellipsoids(motion), motion.cover)
             light += weight[:, None, None] * one
         return light
 
     @one_blas_thread()
-    def picture(self, time_s: float, exposure: int) -> Picture:
+    def picture(self, time_s: float, exposure: int, frame: int = 0) -> Picture:
         """Return the CCD picture of an exposure whose middle is at a time; ``exposure`` is the
-        number of its noise."""
+        number of its noise, ``frame`` that by which `Light.lit` says which LEDs shine."""
         ccd = self.sensor.nominal.ccd.spelt_out()
         assert ccd.frames_per_second is not None
-        before = self.light(time_s - 0.5 / ccd.frames_per_second) if ccd.interlace else None
-        return self.sensor.exposed(self.light(time_s), exposure, before)
+        half_s = 0.5 / ccd.frames_per_second
+        before = self.light(time_s - half_s, frame) if ccd.interlace else None
+        return self.sensor.exposed(self.light(time_s, frame), exposure, before)
 
 
 def _refuse_filmless(scene: Scene) -> None:
@@ -285,7 +287,7 @@ def write_film(sensor: Sensor, out: Path) -> str:
     pictures = [sensor.picture(None)]
     for number, one in enumerate(state.path, start=1):
         progress("pictures", 0.3 + 0.7 * number / len(state.path))
-        pictures.append(sensor.picture(sensor.motion(one.load), number))
+        pictures.append(sensor.picture(sensor.motion(one.load), number, number))
     if kind == "H.264":
         height, width, _ = pictures[0].shape
         with VideoWriter(out, (width, height), 1000 / _FRAME_MS) as video:
@@ -310,7 +312,8 @@ def film_to_folder(
     """Film a scene's press; return a few lines about it.
 
     ``folder`` gets ``rest.png``, ``frames/000000.png`` and so on (with ``h264`` ``frames.mp4``),
-    their truth in ``truth.npz`` (see `_truth`), and ``scene.toml``. An interrupt keeps the frames
+    their truth in ``truth.npz`` (see `_truth`), and ``scene.toml``. Where LEDs take turns, a rest
+    picture of each group lies in ``rest`` instead. An interrupt keeps the frames
     so far, and their truth; a killed process keeps the truth of most of them, but no video. With
     ``h264`` the rest picture is encoded, too: halved colours move coloured markers by .2 px.
 
@@ -337,7 +340,8 @@ def film_to_folder(
     assert scene.press is not None
     pictures = folder / "frames"
     film = folder / "frames.mp4"
-    known = [name for name in ("rest.png", "scene.toml", "truth.npz") if (folder / name).exists()]
+    names = ("rest.png", "rest", "scene.toml", "truth.npz")
+    known = [name for name in names if (folder / name).exists()]
     if known and not pictures.is_dir() and not film.is_file():
         raise InputError(
             f"--out {folder}: holds {', '.join(known)}, which no film wrote; give another folder"
@@ -348,13 +352,19 @@ def film_to_folder(
     progress("contact", 0.02)
     state = sensor.press(press)
     make_folder(folder if h264 else pictures)
-    for old in (film, *pictures.glob("[0-9]" * 6 + ".png")):
+    rests = folder / "rest"
+    numbered = "[0-9]" * 6 + ".png"
+    for old in (film, folder / "rest.png", *pictures.glob(numbered), *rests.glob(numbered)):
         old.unlink(missing_ok=True)
     write_whole(folder / "scene.toml", scene.to_toml().encode())
-    rest = sensor.picture(None)
-    if h264:
-        rest = VideoWriter.encoded(rest, film)
-    write_whole(folder / "rest.png", png_bytes(rest))
+    groups = scene.imaging[1].lit
+    if groups:
+        make_folder(rests)
+    for number, rest in enumerate(sensor.rest_pictures):
+        if h264:
+            rest = VideoWriter.encoded(rest, film)
+        name = rests / f"{number:06d}.png" if groups else folder / "rest.png"
+        write_whole(name, png_bytes(rest))
     # Film it, as far as it goes.
     states = state.path
     exposures = Exposures(
@@ -377,14 +387,17 @@ def film_to_folder(
         for number in range(count):
             progress(f"picture {number + 1} of {count}", 0.1 + 0.89 * number / count)
             time_s = number / rate
-            picture = exposures.picture(time_s, number + 1)
+            picture = exposures.picture(time_s, number + 1, number)
             at = exposures.state_at(time_s)
             row = _row(sensor, exposures.motion(time_s), states[at - 1] if at else None)
             if video is not None:
                 video.add(picture)
             else:
                 write_whole(pictures / f"{number:06d}.png", png_bytes(picture))
-            rows.append(row | {"time_s": time_s})
+            row["time_s"] = time_s
+            if groups:
+                row["lit"] = number % len(groups)
+            rows.append(row)
             if (begun := time.monotonic()) - written > _WRITE_EVERY * took:
                 write_truth()
                 written = time.monotonic()

@@ -86,8 +86,8 @@ def reconstruct_recording(
     Parameters
     ----------
     rest, sources, calibration
-        The picture without load, files, folders, videos, or "-" for a pipe, and the calibration's
-        file.
+        The picture without load, or a folder with one for each group of LEDs that take turns;
+        files, folders, videos, or "-" for a pipe; and the calibration's file.
     out, overlay
         Table (its suffix is one of `TABLES`), and frames with the motion drawn in (a .png, a folder
         of them, or a video).
@@ -124,7 +124,7 @@ def reconstruct_recording(
     # Frames come one at a time: results are written as they come, and memory stays bounded.
     table = _TableFile(out, known.site_mm) if out else None
     drawing = _OverlayFile(overlay) if overlay else None
-    results = _reconstruct_frames(read_picture(rest), known, pictures, clock=clock, **options)
+    results = _reconstruct_frames(_rest_pictures(rest), known, pictures, clock=clock, **options)
     print(f"calibration {known}", file=sys.stderr)
     print(f"forces      {_described_options(options)}{in_time}", file=sys.stderr)
     if known.relaxation is not None and clock is None:
@@ -164,6 +164,18 @@ def reconstruct_recording(
         raise SomeFailed(
             f"{summary.failed} of {summary.count} frames failed, the first trouble: {summary.first}"
         )
+
+
+def _rest_pictures(path: Path) -> list[Picture]:
+    """Return the pictures without load: of a folder all, as frames are lit in turn."""
+    if not path.is_dir():
+        return [read_picture(path)]
+    found = []
+    for frame in Frame.read([str(path)], sys.stdin.buffer, None, None):
+        if frame.picture is None:
+            raise InputError(f"{path}: {frame.name}: {frame.problem}")
+        found.append(frame.picture)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +227,7 @@ class _FrameResult:
 
 
 def _reconstruct_frames(
-    rest: Picture,
+    rests: list[Picture],
     calibration: Calibration,
     sequence: Iterable[Frame],
     *,
@@ -224,7 +236,7 @@ def _reconstruct_frames(
 ) -> Iterator[_FrameResult]:
     """Yield the result of every frame of a sequence.
 
-    ``rest`` is the picture without load; ``options`` are those of
+    ``rests`` are the pictures without load; ``options`` are those of
     `twin.sense.reconstruct.reconstruct`. With ``clock`` forces are those of the calibration's
     rubber as it relaxes (`twin.sense.reconstruct.Field.relaxed`); over frames that fail,
     displacements are taken to change linearly.
@@ -236,7 +248,7 @@ def _reconstruct_frames(
     """
     # The rest picture must show the markers of the calibrated sensor.
     width = calibration.diameter_px
-    tracker = Tracker(rest, calibration.layout, diameter_px=width if np.isfinite(width) else None)
+    tracker = Tracker(rests, calibration.layout, diameter_px=width if np.isfinite(width) else None)
     known: Bools = np.asarray(np.isfinite(tracker.rest.rest_px).all(axis=1))
     if known.sum() < 2:
         raise InputError(
@@ -257,7 +269,7 @@ def _reconstruct_frames(
         reason = frame.problem
         if frame.picture is not None:
             try:
-                found = tracker.track(frame.picture)
+                found = tracker.track(frame.picture, number)
                 field = before = reconstruct(found, calibration, previous=before, **options)
                 bump = Bump.of(found, calibration)
                 if history is not None and clock is not None:

@@ -405,25 +405,28 @@ def _relaxed(
     assert scene.reconstruction is not None
     assert calibration.relaxation is not None
     rate = scene.reconstruction.frames_per_second
-    tracker = Tracker(rest, sensor.layout_px, method=scene.tracking.method)
+    rests = [rest, *sensor.rest_pictures[1:]]
+    tracker = Tracker(rests, sensor.layout_px, method=scene.tracking.method)
     history = Hereditary(calibration.relaxation)
     before_s = 0.0
+    last_s = float(ends_s[len(state.path) - 1])
     for number, (one, end_s) in enumerate(zip(state.path[:-1], ends_s, strict=False)):
         if abs(end_s * rate - round(end_s * rate)) > _SAME:
             continue  # a step that ends between two frames
+        frame = round((end_s - last_s) * rate)  # the last one, whose picture is there, is 0
         if sensor.progress is not None:
             sensor.progress(f"frame at {end_s:.3g} s", 0.8)
-        picture = sensor.picture(sensor.quick_motion(one.load), 2 + number)
+        picture = sensor.picture(sensor.quick_motion(one.load), 2 + number, frame)
         try:
             field = reconstruct(
-                tracker.track(picture), calibration, **scene.reconstruction.options()
+                tracker.track(picture, frame), calibration, **scene.reconstruction.options()
             )
         except InputError:  # bridged, as in a recording
             tracker.forget()
             continue
         field.relaxed(history, end_s - before_s)
         before_s = end_s
-    return last.relaxed(history, ends_s[len(state.path) - 1] - before_s)
+    return last.relaxed(history, last_s - before_s)
 
 
 def _pressed(sensor: Sensor, press: Press, keep_last: bool) -> ContactState:

@@ -60,6 +60,9 @@ AGAIN = 2.0
 _OF = {"displacements": " of the largest", "tractions": " of their root mean square"}
 _SHARES = {"displacements": "markers", "tractions": "traction"}
 
+_REST = 1 << 62
+"""Number of an exposure above all those of presses."""
+
 _AWAY = "move the load away from the edges of the sensing surface"
 
 
@@ -266,15 +269,32 @@ class Sensor:
         return MarkerSet.place(self.nominal.body, self.nominal.markers)
 
     @cached_property
-    def renderer(self) -> Renderer:
-        """The camera's view of the actual sensor."""
+    def renderers(self) -> list[Renderer]:
+        """The camera's view of the actual sensor in the light of each group of LEDs
+        (`Light.lit`), of one exposure: that of the group which makes a marker brightest."""
         if self.nominal.camera is None:
             raise RecipeError("this scene has no [camera] table, so there is no picture of it")
         from twin.world.picture.backend import Variant
         from twin.world.picture.render import Renderer
 
-        Variant.check_machine(self.actual.scene)
-        return Renderer(self.actual.scene, self.ellipsoids(None))
+        scene = self.actual.scene
+        Variant.check_machine(scene)
+        rest = self.ellipsoids(None)
+        views = [
+            Renderer(scene.model_copy(update={"light": light}), rest)
+            for light in scene.imaging[1].groups
+        ]
+        exposure = min(view.exposure for view in views)
+        return [view.of_exposure(exposure) for view in views]
+
+    @property
+    def renderer(self) -> Renderer:
+        """The first of `renderers`."""
+        return self.renderers[0]
+
+    def renderer_of(self, frame: int) -> Renderer:
+        """Return the one of `renderers` whose LEDs are lit in a frame of a sequence."""
+        return self.renderers[frame % len(self.renderers)]
 
     def rectangles(self, load: Load | ContactState) -> Rectangles:
         """Cut a load into the rectangles that the solvers work on; the last load's are kept."""
@@ -608,7 +628,10 @@ class Sensor:
 
     @one_blas_thread()
     def picture(
-        self, load: Load | ContactState | Motion | None, exposure: int | None = None
+        self,
+        load: Load | ContactState | Motion | None,
+        exposure: int | None = None,
+        frame: int = 0,
     ) -> Picture:
         """Return the CCD picture (height, width, 3) under a load, or at rest.
 
@@ -619,6 +642,9 @@ class Sensor:
         exposure
             Number of the exposure: pictures of the same number have the same noise. Default: 0 at
             rest, 1 under load.
+        frame
+            Number of the frame in a sequence, from 0: where LEDs take turns (`Light.lit`), it says
+            which shine.
 
         Raises
         ------
@@ -637,13 +663,23 @@ class Sensor:
             raise InputError(f"exposure = {number!r}: allowed are whole numbers from 0")
         motion = self._moved(load)
         cover = motion.cover if motion is not None else None
-        return self.exposed(self.renderer.radiance(self.ellipsoids(motion), cover), number)
+        light = self.renderer_of(frame).radiance(self.ellipsoids(motion), cover)
+        return self.exposed(light, number)
 
-    def seen(self, motion: Motion | None, exposure: int) -> tuple[Picture, Outlines]:
+    @property
+    def rest_pictures(self) -> list[Picture]:
+        """The rest picture of each group of LEDs, each with noise of its own; the first is
+        ``picture(None)``."""
+        numbers = range(len(self.renderers))
+        return [self.picture(None, _REST * (number > 0) + number, number) for number in numbers]
+
+    def seen(
+        self, motion: Motion | None, exposure: int, frame: int = 0
+    ) -> tuple[Picture, Outlines]:
         """Return `picture` and the markers' visible outlines, for little more than the picture's
         time."""
         cover = motion.cover if motion is not None else None
-        radiance, outlines = self.renderer.seen(self.ellipsoids(motion), cover)
+        radiance, outlines = self.renderer_of(frame).seen(self.ellipsoids(motion), cover)
         return self.exposed(radiance, exposure), outlines
 
     def exposed(self, radiance: Singles, exposure: int, before: Singles | None = None) -> Picture:

@@ -312,6 +312,21 @@ def test_a_reader_reads_what_is_asked_for_and_travels_to_other_processes(made: P
         twin.open_dataset(made / "data")
 
 
+def test_steps_that_leds_light_in_turn_say_by_which_group(tmp_path: Path) -> None:
+    steps = [{"force_n": {"z": 0.1 * number}} for number in (1, 2, 3)]
+    keys = {"vary": {}, "press__steps": steps, "dataset__every_step": True, "light__lit": [[0, 1], [2, 3], [1]]}
+    make(tmp_path / "d", 1, small_scene((), **keys))
+    data = twin.open_dataset(tmp_path / "d")
+    assert [row["lit"] for row in data] == [0, 1, 2]
+    made = data.sensor(0)
+    rests = [made[name] for name in ("picture", "picture_1", "picture_2")]
+    for row in data:  # lightly pressed, a picture is most like the rest picture of its group
+        off = [np.abs(row["picture"].astype(int) - rest).mean() for rest in rests]
+        assert np.argmin(off) == row["lit"]
+    with pytest.raises(RecipeError, match=r"light\.lit can't vary"):
+        make(tmp_path / "e", 1, small_scene(vary={"light.lit": {"choice": [[[0]], [[1]]]}}))
+
+
 def test_every_step_of_a_path_can_be_kept(tmp_path: Path) -> None:
     steps = [{"force_n": {"z": 0.5}}, {"force_n": {"x": 0.1, "y": 0.0, "z": 0.5}}]
     scene = small_scene(

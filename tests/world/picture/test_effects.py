@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 from scipy.special import ndtr
 from small_scenes import SPLAT, beads, block, changed, faced, measured, mitsuba, rest_of, scene_of, seen_at
 
+import twin
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.markers import MarkerSet
@@ -79,6 +80,41 @@ def test_leds_without_a_colour_each_are_refused():
         Light(positions_mm=((0, 0, 50), (1, 0, 50)), colours=(ONE,))
     with pytest.raises(RecipeError, match="every LED is dark"):
         Light(positions_mm=((0, 0, 50),), colours=(DARK,))
+
+
+# LEDs that take turns
+
+
+def test_light_of_groups_adds_up_under_one_exposure_that_suits_the_brightest():
+    scene = block().model_copy(update={"renderer": "splat"})
+    scene = changed(scene, light={"ambient": 0.0, "colours": ((3.0, 1.0, 1.0), *[(1.0, 1.0, 1.0)] * 3)})
+    switched = twin.Sensor(
+        changed(scene, light={"lit": ((0, 3), (1,), (2,))}, tolerance={"preset": "none"}, ccd={"noise": False})
+    )
+    views = switched.renderers
+    assert len({view.exposure for view in views}) == 1
+    apart = [view.radiance(rest_of(scene)) for view in views]
+    together, per_power = light_of(scene)
+    assert_allclose(sum(apart) / views[0].exposure, per_power, rtol=1e-3, atol=1e-5 * per_power.max())
+    assert apart[0].max() == pytest.approx(together.max(), rel=0.1)
+    assert switched.renderer_of(5) is views[2]
+    assert_array_equal(switched.picture(None, 0, 4), switched.rest_pictures[1])
+    assert identity(scene.model_dump(mode="json"))["light"].keys().isdisjoint({"lit"})
+
+
+@pytest.mark.parametrize(
+    ("groups", "said"),
+    [
+        ([[0], [4]], r"group 1 is \[4\]; give each group at least one of the numbers 0 to 3"),
+        ([[-1]], "numbers 0 to 3 of the 4 LEDs"),
+        ([[0, 0]], "each once"),
+        ([[0], []], "group 1 is "),
+        ([[0], [1]], r"every LED of group 1, \[1\], is dark"),
+    ],
+)
+def test_groups_that_light_nothing_are_refused(groups, said):
+    with pytest.raises(RecipeError, match=said):
+        Light(positions_mm=[(x, 0, 50) for x in range(4)], colours=[ONE, DARK, ONE, ONE], lit=groups)
 
 
 # Dust on the window

@@ -76,7 +76,7 @@ def _columns(*rows: tuple[str, Kind, str, str]) -> tuple[Column, ...]:
             kind=kind,
             what=what,
             needs=frozenset(needs.split()),  # type: ignore[arg-type]
-            by_name=name in ("traction_error", "time_s", "slip_share", "split"),
+            by_name=name in ("traction_error", "time_s", "slip_share", "split", "lit"),
         )
         for name, kind, needs, what in rows
     )
@@ -129,6 +129,7 @@ SAMPLE = _columns(
     ("marker_pressed_px", "pixels", "motion", "projected marker centres under the press"),
     ("marker_outline_pressed_px", "pixels", "outlines", _OUTLINES),
     ("marker_visible", "numbers", "outlines", "visible share of each outline, 0 to 1"),
+    ("lit", "integer", "picture", "group of LEDs (light.lit) that is lit in the picture"),
     ("picture", "png", "picture", "CCD picture under the press"),
 )
 

@@ -95,8 +95,12 @@ def _hdf5(reader: DatasetReader, out: Path, progress: Progress | None) -> list[P
                         sets[name] = _room(file, name, value, count)
                     _put(sets[name], number, value)
             rests = [reader.sensor(n) for n in reader.sensor_numbers]
-            if rests and rests[0].get("picture") is not None:
-                file["tactile/rest"] = np.stack([row["picture"] for row in rests])
+            for name in [
+                name for name in (rests[0] if rests else {}) if name.startswith("picture")
+            ]:
+                if rests[0][name] is not None:
+                    rest = name.replace("picture", "tactile/rest")
+                    file[rest] = np.stack([row[name] for row in rests])
         os.replace(part, path)
     except OSError as problem:
         raise TwinError(f"{path}: can't be written ({problem})") from None

@@ -40,8 +40,9 @@ _FIXED = (
     "tracking",
     "calibration",
     "reconstruction",
+    "light.lit",
 )
-"""Tables that can't vary inside a dataset: it has one mesh, one accuracy and one format."""
+"""What can't vary inside a dataset: it has one mesh, one accuracy and one format."""
 
 MOST_STEPS = 1024
 
@@ -119,7 +120,12 @@ class Plan:
     def sensor_columns(self) -> tuple[Column, ...]:
         """The columns of the sensors table."""
         needs = {need for column in self.columns for need in column.needs}
-        found = (column for column in SENSOR if _available(column, self.scene, needs))
+        found = [column for column in SENSOR if _available(column, self.scene, needs)]
+        if "picture" in needs:
+            found += [
+                Column(f"picture_{group}", "png", f"CCD picture at rest, lit by group {group}")
+                for group in range(1, len(self.scene.imaging[1].lit))
+            ]
         return (*found, *_drawn_columns(self.sensor_axes))
 
     def audited(self, failed: Collection[int] = ()) -> list[int]:
@@ -210,9 +216,10 @@ class Plan:
             )
         for key in scene.vary:
             table = key.split(".")[0]
-            if table in _FIXED:
+            fixed = key if key == "light.lit" else table
+            if fixed in _FIXED:
                 problems.append(
-                    f"vary.{key}: {table} can't vary inside a dataset; make several datasets"
+                    f"vary.{key}: {fixed} can't vary inside a dataset; make several datasets"
                 )
             if scene.tractions and table == "press":
                 problems.append(
@@ -444,7 +451,10 @@ def _chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
         raise RecipeError(problems)
     if asked:
         return tuple(column for column in SAMPLE if column.name in wanted)
-    return tuple(c for c in SAMPLE if _available(c, scene, has) and not c.by_name)
+    kept = {"lit"} if scene.light is not None and scene.light.lit else set()
+    return tuple(
+        c for c in SAMPLE if _available(c, scene, has) and (c.name in kept or not c.by_name)
+    )
 
 
 def _available(column: Column, scene: Scene, has: set[Need]) -> bool:

@@ -112,7 +112,8 @@ class _MadeSensor:
             row["marker_visible"] = outlines.visible
         if "picture" in needs:
             _ = self.renderer
-            row["picture"] = png_bytes(sensor.picture(None))
+            for group, picture in enumerate(sensor.rest_pictures):
+                row[f"picture_{group}" if group else "picture"] = png_bytes(picture)
             assert scene.camera is not None
             f, (cx, cy) = scene.camera.focal_px, scene.camera.centre_px
             row["camera_matrix"] = np.array([f, 0, cx, 0, f, cy, 0, 0, 1.0])
@@ -247,13 +248,14 @@ def _truth_of(
     motion_of: Callable[[], Motion] | None = None,
     slips: list[Bools] | None = None,
     exposure: int | None = None,
-    picture: Callable[[int], Picture] | None = None,
+    picture: Callable[[int, int], Picture] | None = None,
 ) -> _Row:
     """Return the columns' values under a load; pictures and outlines only with an exposure.
 
     ``motion_of`` computes the markers' motion, where that is done already. ``slips`` are the
     slipping patches of each of the load's terms; None without a probe.
-    ``picture`` makes that of an exposure over motion; None: the load's own.
+    ``picture`` makes that of an exposure over motion, in the light of a frame; None: the load's
+    own.
     """
     from twin.parts.load import Rectangles
 
@@ -284,22 +286,24 @@ def _truth_of(
 
 
 def _seen(
-    made: _MadeSensor, motion: Motion, exposure: int, moving: Callable[[int], Picture] | None
+    made: _MadeSensor, motion: Motion, exposure: int, moving: Callable[[int, int], Picture] | None
 ) -> _Row:
     sensor = made.sensor
     renderer = made.renderer
     needs = made.plan.needs
     if "picture" not in needs:
         return _outlined(renderer.outlines(sensor.ellipsoids(motion)))
+    step = (exposure - 1) % MOST_STEPS
+    row: _Row = {"lit": step % len(sensor.renderers)}
     if moving is not None:
-        row = {"picture": png_bytes(moving(exposure))}
+        row["picture"] = png_bytes(moving(exposure, step))
         if "outlines" in needs:
             row |= _outlined(renderer.outlines(sensor.ellipsoids(motion)))
         return row
     if "outlines" not in needs:
-        return {"picture": png_bytes(sensor.picture(motion, exposure=exposure))}
-    picture, outlines = sensor.seen(motion, exposure)
-    return {"picture": png_bytes(picture), **_outlined(outlines)}
+        return row | {"picture": png_bytes(sensor.picture(motion, exposure, step))}
+    picture, outlines = sensor.seen(motion, exposure, step)
+    return row | {"picture": png_bytes(picture), **_outlined(outlines)}
 
 
 def _outlined(outlines: Outlines) -> _Row:

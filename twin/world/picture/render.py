@@ -179,6 +179,13 @@ class Renderer:
         scene = self.scene.model_copy(update=tables)
         return Renderer(scene, self._rest, variant, self.subpixels, self.shadows, self._gain)
 
+    def of_exposure(self, exposure: float) -> Renderer:
+        """Return this renderer with another `exposure`."""
+        if exposure == self.exposure:
+            return self
+        gain = exposure * self._top
+        return Renderer(self.scene, self._rest, self.variant, self.subpixels, self.shadows, gain)
+
     @property
     def centroid_error_px(self) -> float:
         """Bound on the error of intensity centroids in the noise-free picture, px."""
