@@ -447,6 +447,38 @@ def test_a_lattice_without_border_is_ambiguous_after_half_a_step():
     assert (half.states == "ambiguous").mean() > 0.8
 
 
+@pytest.mark.parametrize(("margin", "least"), [(60.0, 0.99), (-45.0, 0.0)])
+@pytest.mark.parametrize("pitches", [(1.0, 0.0), (-1.0, 1.0), (2.0, 0.0), (2.0, 1.0)])
+@pytest.mark.parametrize("holes", [0, 3])
+def test_a_lattice_that_goes_on_beyond_its_layout_is_followed_to_its_border(margin, least, pitches, holes):
+    """Each marker was taken for its neighbour: a spot showed for every marker, and one marker for every spot."""
+    size = (390, 330)
+    whole = flat_layout(16 if margin < 0 else 10, 14 if margin < 0 else 8, 30.0, (margin, margin))
+    rows = joined(whole)
+    inside = ((rows > 100.0) & (rows < [290.0, 230.0])).all(axis=1)
+    red = np.arange(len(rows)) < len(whole["red"])
+    layout = {"red": rows[inside & red], "blue": rows[inside & ~red]}
+    shift = moved_inside(np.tile(30.0 * np.array(pitches), (len(rows), 1)), whole, size)
+    hidden = np.flatnonzero(inside)[5 : 5 + 9 * holes : 9]
+    seen = [moved_inside(np.zeros_like(rows), whole, size), shift]
+    seen[1][hidden] = np.nan
+    found = track(*(picture(s, 1 + k, whole, size) for k, s in enumerate(seen)), layout)
+    assert np.nanmax(np.abs(found.shift_px - 30.0 * np.array(pitches)), initial=0.0) < 0.2
+    assert holes or abs(pitches[0]) > 1.0 or found.seen.mean() >= least
+    assert np.isin(found.states[~found.seen], ["ambiguous", "missing"]).all()
+
+
+def test_a_film_of_a_lattice_that_fills_the_picture_is_followed_from_rest():
+    whole, size = flat_layout(16, 14, 30.0, (-45.0, -45.0)), (390, 330)
+    layout = {name: p[((p > 100.0) & (p < [290.0, 230.0])).all(axis=1)] for name, p in whole.items()}
+    moves = [moved_inside(np.full((len(joined(whole)), 2), m), whole, size) for m in np.arange(0.0, 46.0, 5.0)]
+    rest, *later = (picture(m, 1 + k, whole, size) for k, m in enumerate(moves))
+    tracker = Tracker(rest, layout)
+    assert not track(rest, later[0], layout).seen.any()
+    for number, frame in enumerate(later):
+        assert np.abs(tracker.track(frame).shift_px - 5.0 * (number + 1)).max() < 0.2
+
+
 def test_states_say_what_is_wrong():
     drawn = picture()
     red = LAYOUT["red"].astype(int)

@@ -119,6 +119,12 @@ class CentreEstimator:
         infinite where that is not measured."""
         return math.inf
 
+    @property
+    def endless(self) -> bool:
+        """Whether the lattice goes on beyond the layout, and no border of it is in sight: then a
+        first picture does not tell a motion by its steps from none."""
+        return False
+
     @classmethod
     def at_rest(
         cls, picture: Picture, looks: list[Look], spacing_px: float, given: bool

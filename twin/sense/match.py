@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations_with_replacement
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -194,6 +196,43 @@ class Neighbourhood:
             partner=_partners(rest_px, near, weight > 0.0, spacing_px),
         )
 
+    @cached_property
+    def far_partner(self) -> Ints:
+        """``partner``, and those two steps away."""
+        found = list(self.partner)
+        steps = [self._step(partner) for partner in found]
+        for first, second in combinations_with_replacement(self.partner, 2):
+            there = np.where(first >= 0, second[first], -1)
+            back = np.where(second >= 0, first[second], -1)
+            partner = np.where(there >= 0, there, back)
+            step = self._step(partner)
+            away = np.hypot(*np.subtract([*steps, np.zeros(2)], step).T)
+            if (away > LATTICE_REACH * self.spacing_px).all():
+                found.append(partner)
+                steps.append(step)
+        return np.array(found, np.int64).reshape(-1, len(self.rest_px))
+
+    def _step(self, partner: Ints) -> Floats:
+        """Return (2,) the usual step from markers to their partners, px; NaN where none has any."""
+        steps = np.where((partner >= 0)[:, None], self.rest_px[partner] - self.rest_px, np.nan)
+        steps = steps[np.isfinite(steps[:, 0])]
+        return np.asarray(np.median(steps, axis=0)) if len(steps) else np.full(2, np.nan)
+
+    def beyond(self, spots: Pixels) -> Ints:
+        """Return which of the ``spots`` (b, 2), none of them a marker's, go on with the markers'
+        lattice: step by step from marker to spot, and from spot to spot."""
+        steps = np.array([self._step(partner) for partner in self.partner]).reshape(-1, 2)
+        known, found = self.rest_px, np.zeros(len(spots), np.bool_)
+        known = known[np.isfinite(known[:, 0])]
+        while len(steps) and len(known) and not found.all():
+            away, _ = cKDTree((known[:, None] + steps).reshape(-1, 2)).query(spots)
+            new = (away < LATTICE_REACH * self.spacing_px) & ~found
+            if not new.any():
+                break
+            found |= new
+            known = spots[new]
+        return np.flatnonzero(found)
+
     def predict(self, motion: Pixels) -> tuple[Pixels, Bools]:
         """Return every marker's motion as its matched neighbours have it (local affine), and where
         enough of them do."""
@@ -233,6 +272,7 @@ class Neighbourhood:
         start_px: Pixels | None = None,
         size_px: tuple[int, int] | None = None,
         spare_px: Pixels | None = None,
+        part: bool = False,
     ) -> tuple[Ints, bool]:
         """Return (n,) which spot every marker has become, -1 where none has; whether another
         lattice shift fits as well.
@@ -249,6 +289,9 @@ class Neighbourhood:
             (height, width) of the picture, whose markers may leave it; None if none can.
         spare_px
             (s, 2) spots at rest that are none of the markers, px.
+        part
+            Whether the lattice goes on beyond the drawn layout: then no motion is more likely from
+            a cold start than another.
 
         Notes
         -----
@@ -260,7 +303,7 @@ class Neighbourhood:
         count = len(self.rest_px)
         if not count or not len(spots):
             return np.full(count, -1, np.int64), False
-        search = _Search(self, spots, alike, size_px, start_px, spare_px)
+        search = _Search(self, spots, alike, size_px, start_px, spare_px, part)
         if start_px is not None:
             warm = search.grow(start_px, whole=True)
             allowed = TRUST * float(np.isfinite(self.rest_px).all(axis=1).sum())
@@ -268,7 +311,7 @@ class Neighbourhood:
             if search.lost(warm) < allowed and not outdone:
                 return warm.spot, False
         still = search.grow(np.zeros_like(self.rest_px))
-        if start_px is None and search.plain(still):
+        if start_px is None and search.plain(still) and not part:
             return still.spot, False
         grown = [still, *(search.grow(guess) for guess in search.common_motion())]
         if start_px is not None:
@@ -301,6 +344,7 @@ class Neighbourhood:
         ]
         fewer = 2.0 * (np.sqrt(best.left_over) - np.sqrt(min(left, default=best.left_over)))
         moved = best.length > STILL and least < best.left_over
+        equal = part and 2.0 * (np.sqrt(least) - np.sqrt(best.left_over)) < MORE
         known = np.count_nonzero(search.known)
         torn = best.unpaired > TORN * known
         gone = fewer > MORE and search.lost(best) < COVERED * known
@@ -311,7 +355,7 @@ class Neighbourhood:
             and search.lost(p) < COVERED * known
             for p in others
         )
-        return best.spot, bool(close or moved or torn or gone or hidden)
+        return best.spot, bool(close or moved or equal or torn or gone or hidden)
 
     @staticmethod
     def match_layout(nominal: list[Pixels], spots: list[Pixels], spacing_px: float) -> list[Ints]:
@@ -390,10 +434,12 @@ class _Search:
         size_px: tuple[int, int] | None,
         start_px: Pixels | None,
         spare_px: Pixels | None,
+        part: bool,
     ) -> None:
         spare = np.zeros((0, 2)) if spare_px is None else spare_px
         self.spare = cKDTree(spare) if len(spare) else None
         self.around, self.spots, self.alike, self.start_px = around, spots, alike, start_px
+        self.part = part
         self.known: Bools = np.asarray(np.isfinite(around.rest_px).all(axis=1))
         self.usable = alike.any(axis=0)
         self.tree = cKDTree(spots)
@@ -500,7 +546,7 @@ class _Search:
         expected, _ = around.predict(pairing.motion)
         beyond = self._free(spot)
         found = []
-        for partner in around.partner:
+        for partner in around.far_partner if self.part else around.partner:
             has = (partner >= 0) & self.known & self.known[partner]
             if not has.any():
                 continue

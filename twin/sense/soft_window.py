@@ -7,7 +7,7 @@ reason.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -127,18 +127,24 @@ class SoftWindow(CentreEstimator):
         signal = project(picture, look.weights, look.ground_dn + look.floor_dn)
         signal -= np.float32(look.ground_dn)
         blobs = Blobs.found_in(signal, look.diameter_px, look.contrast_dn, look.floor_dn)
+        # From a cold start the whole lattice is followed, also where it goes on beyond the layout.
+        spare, beyond = self._spare
+        here = self._with(beyond) if start_px is None and len(beyond) else self
         with np.errstate(invalid="ignore", divide="ignore"):
-            area = blobs.area_px[None] / self.area_px[:, None]
-            level = blobs.level_dn[None] / self.level_dn[:, None]
+            area = blobs.area_px[None] / here.area_px[:, None]
+            level = blobs.level_dn[None] / here.level_dn[:, None]
         good = (
             (area > AREA_RATIO[0])
             & (area < AREA_RATIO[1])
             & (level > LEVEL_RATIO[0])
             & (level < LEVEL_RATIO[1])
         )
-        spot, ambiguous = self.around.follow(
-            blobs.centre_px, good & blobs.whole, start_px, look.picture_px, self._spare_px
+        part = here is not self
+        spare_px = look.blobs.centre_px[np.setdiff1d(spare, beyond) if part else spare]
+        spot, ambiguous = here.around.follow(
+            blobs.centre_px, good & blobs.whole, start_px, look.picture_px, spare_px, part
         )
+        spot, good = spot[: len(self.area_px)], good[: len(self.area_px)]
         state = self._lost_state(blobs, spot, ~good & blobs.whole)
         spurious = self._spurious(blobs, spot)
         if ambiguous:
@@ -147,13 +153,39 @@ class SoftWindow(CentreEstimator):
         return blobs, spot, state, spurious
 
     @cached_property
-    def _spare_px(self) -> Pixels:
-        """(s, 2) spots of the rest picture that are none of the markers."""
-        spots, marks = self.look.blobs.centre_px, self.spot_px[np.isfinite(self.spot_px[:, 0])]
+    def _spare(self) -> tuple[Ints, Ints]:
+        """Which spots at rest are none of the markers, and which of these go on with the markers'
+        lattice beyond the layout."""
+        blobs, marks = self.look.blobs, self.spot_px[np.isfinite(self.spot_px[:, 0])]
         if not len(marks):
-            return spots
-        away, _ = cKDTree(marks).query(spots)
-        return np.asarray(spots[away > 0.0])
+            return np.arange(len(blobs)), np.arange(0)
+        away, _ = cKDTree(marks).query(blobs.centre_px)
+        spare = np.flatnonzero(away > 0.0)
+        alike = spare[blobs.whole[spare]]
+        return spare, alike[self.around.beyond(blobs.centre_px[alike])]
+
+    @cached_property
+    def endless(self) -> bool:
+        _, beyond = self._spare
+        if not len(beyond):
+            return False
+        around = self._with(beyond).around
+        spots = around.rest_px[np.isfinite(around.rest_px[:, 0])]
+        alike = np.ones((len(around.rest_px), len(spots)), np.bool_)
+        return around.follow(spots, alike, None, self.look.picture_px, part=True)[1]
+
+    def _with(self, beyond: Ints) -> SoftWindow:
+        """Return the markers and, after them, those spots at rest."""
+        blobs = self.look.blobs
+        rest_px = np.concatenate([self.around.rest_px, blobs.centre_px[beyond]])
+        return SoftWindow(
+            **{f.name: getattr(self, f.name) for f in fields(SoftWindow)}
+            | {
+                "around": Neighbourhood.of(rest_px, self.around.spacing_px),
+                "level_dn": np.append(self.level_dn, blobs.level_dn[beyond]),
+                "area_px": np.append(self.area_px, blobs.area_px[beyond]),
+            }
+        )
 
     def _lost_state(self, blobs: Blobs, spot: Ints, odd: Bools) -> NDArray[np.uint8]:
         """Return why markers without a spot are lost: the spot near the expected place is odd, or

@@ -212,6 +212,7 @@ def track(
         channels=channels,
         method=method,
     )
+    tracker.forget()
     return tracker.track(image)
 
 
@@ -222,7 +223,8 @@ class Tracker:
     Motion from picture to picture may be up to about half the markers' width where only places
     around the last ones are looked at, and up to 0.6 of the pitch where that fails and the whole
     picture is searched; in total there is no limit but the picture. Nothing grows with the number
-    of pictures.
+    of pictures. The first picture may be any; where the markers' lattice goes on beyond the layout,
+    and no border of it is in sight, it follows the rest picture.
 
     Parameters
     ----------
@@ -280,7 +282,8 @@ class Tracker:
             for one in images
         ]
         self._frame = -1
-        self._last_px: Pixels | None = None
+        endless = any(group.endless for group in self.rest.groups)
+        self._last_px: Pixels | None = np.zeros_like(self.rest.rest_px) if endless else None
         self._seen = np.zeros(len(self.rest.rest_px), np.bool_)
         self._before = [as_picture(one, "the rest picture").copy() for one in images]
         rough = min(group.roughness_px for group in self.rest.groups) > ROUGH_PX

@@ -311,7 +311,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
     if np.array_equal(one, two):
         raise InputError(f"{second}: is the same picture as {first}: expose the sensor twice")
     rest = analyse_rest(one, sensor.layout_px)
-    found = track_frame(rest, two)
+    found = track_frame(rest, two, np.zeros_like(rest.rest_px))
     seen = found.seen
     if seen.sum() < 2:
         raise InputError(
