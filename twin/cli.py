@@ -88,7 +88,9 @@ def _usage_error(problem: CycloptsError) -> str:
     if isinstance(problem, MissingArgumentError) and problem.argument is not None:
         wanted = problem.argument
         if problem.keyword is not None:
-            return f"{problem.keyword} needs a value: {wanted.parameter.help}"
+            count = wanted.token_count()[0]
+            values = "a value" if count < 2 else f"{count} values"
+            return f"{problem.keyword} needs {values}: {wanted.parameter.help}"
         name = wanted.name if wanted.index is None else wanted.name.lstrip("-").upper()
         return f"{name} is missing: {wanted.parameter.help}"
     return str(problem)

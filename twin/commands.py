@@ -17,7 +17,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import asdict, dataclass
 from functools import wraps
 from pathlib import Path
@@ -33,6 +33,7 @@ from twin.errors import (
     TwinError,
     did_you_mean,
 )
+from twin.files import plain
 from twin.parts.methods import Method, WeightRule
 
 if TYPE_CHECKING:
@@ -132,14 +133,15 @@ class _Batch:
 
 def _progress() -> Progress | None:
     """Return a function that shows (what, share done), or None where stderr is not a terminal."""
-    if not sys.stderr.isatty():
+    shown = sys.__stderr__  # --json collects what else is printed there
+    if shown is None or not shown.isatty():
         return None
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
+    console = Console(file=shown)
     bar = Bar(*columns, TimeRemainingColumn(), console=console, transient=True)
     task = bar.add_task("starting", total=1.0)
     bar.start()
@@ -189,26 +191,46 @@ def _print_json(value: Any) -> None:
     print(json.dumps(value, indent=1, ensure_ascii=False))
 
 
+def _rows_of(lines: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the rows of a table whose cells tabs separate, its first line being the header."""
+    table = [line.split("\t") for line in lines if "\t" in line]
+    return [dict(zip(table[0], map(_value_of, cells), strict=True)) for cells in table[1:]]
+
+
+def _value_of(cell: str) -> Any:
+    """Return a cell as a number where it is one; None for one that is not finite."""
+    try:
+        return plain(float(cell))
+    except ValueError:
+        return cell
+
+
 def _lines_as_json(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that takes ``--json`` too: its lines, and what went wrong, as one object."""
+    """Return a command that takes ``--json`` too: its lines, the rows of its table, its notes and
+    warnings, and what went wrong, as one object."""
 
     @wraps(command)
     def with_json(*arguments: Any, json_: bool = False, **options: Any) -> None:
         if not json_:
             command(*arguments, **options)
             return
-        lines = io.StringIO()
+        printed, notes = io.StringIO(), io.StringIO()
         failure: TwinError | None = None
         try:
-            with redirect_stdout(lines):
+            with redirect_stdout(printed), redirect_stderr(notes):
                 command(*arguments, **options)
         except TwinError as problem:
             failure = problem
+        finally:
+            print(notes.getvalue(), end="", file=sys.stderr)
+        lines = printed.getvalue().splitlines()
         _print_json(
             {
                 "command": command.__name__,
                 "ok": failure is None,
-                "lines": lines.getvalue().splitlines(),
+                "lines": lines,
+                "rows": _rows_of(lines),
+                "notes": notes.getvalue().splitlines(),
                 "problems": [] if failure is None else str(failure).splitlines(),
             }
         )
@@ -322,7 +344,7 @@ def run(
             _print_json(_run_files(folder))
         raise
     if json_:
-        _print_json(_run_files(folder))
+        _print_json({**_run_files(folder), "lines": text.splitlines()})
     else:
         print(text)
     if open_:
@@ -526,7 +548,11 @@ def scenes(
             focal_mm=focal_mm,
             resolution=resolution,
         )
-        print("\n".join(pad.write(new)))
+        lines = pad.write(new)
+        if json_:
+            _print_json({"file": lines[0].partition(":")[0], "lines": lines})
+        else:
+            print("\n".join(lines))
         return
     from twin.study.recipe import load_scene, shipped_scenes
 

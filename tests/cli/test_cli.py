@@ -52,6 +52,8 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["run", "kamiyama_pillar", "more"], "what is 'more'? The command takes no more"),
         (["check", "PICTURE"], "PICTURE: is a picture (PNG), and a scene or a sweep is a text file"),
         (["check", "BODY.stl"], "BODY.stl: is a surface (STL), and a scene or a sweep is a text file (TOML); name it"),
+        (["view", "BODY.step"], "BODY.step: is a STEP file, and a scene or a sweep is a text file (TOML); export"),
+        (["scenes", "--new", "a", "--size-mm", "30", "20"], "--size-mm needs 3 values: Width"),
         (["run"], "SCENE is missing: Path of a scene file"),
         (["run", "kamiyama_pillar", "--out"], "--out needs a value: Folder for the results"),
         (["run", "kamiyama_pillar", "--want", ","], "--want names nothing: give any of displacement"),
@@ -124,6 +126,7 @@ def test_wrong_input_is_told_in_the_users_terms(arguments, words, tmp_path, caps
     Path("mine.toml").touch()
     Path("PICTURE").write_bytes(b"\x89PNG\r\n")
     Path("BODY.stl").write_bytes(bytes(84))
+    Path("BODY.step").write_bytes(b"ISO-10303-21;")
     Path("LINK").symlink_to("NOWHERE")
     Path("EMPTY.json").write_text('{"elastic": [], "tracking": null, "force": 3}')
     Path("RECORDING").mkdir()
@@ -306,6 +309,7 @@ def test_a_run_prints_json_and_explain_reads_its_folder(tmp_path: Path) -> None:
     printed = json.loads(done.stdout)
     assert printed["score"] == json.loads((tmp_path / "run" / "score.json").read_text())
     assert printed["score"]["tracking"] is None
+    assert printed["lines"][0].startswith("contact     1 N")
     assert {Path(path).name for path in printed["files"].values()} >= {"score.json", "report.html", "scene.toml"}
     assert not {path.name for path in (tmp_path / "run").iterdir()} & {"rest.png", "pressed.png", "estimate.npz"}
     explained = twin("explain", str(tmp_path / "run"))
@@ -328,6 +332,8 @@ def test_check_scenes_and_doctor_print_json(tmp_path: Path) -> None:
     assert {"name", "title", "path"} == set(scenes[0])
     assert "kamiyama_pillar" in {scene["name"] for scene in scenes}
     assert json.loads(twin("doctor", "--json").stdout)["facts"]["numpy"]
+    new = json.loads(twin("scenes", "--new", str(tmp_path / "mine"), "--json").stdout)
+    assert Path(new["file"]).is_file()
 
 
 def test_every_command_takes_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -343,3 +349,19 @@ def test_every_command_takes_json(capsys: pytest.CaptureFixture[str]) -> None:
     printed = json.loads(capsys.readouterr().out)
     assert (printed["command"], printed["ok"]) == ("export", False)
     assert "nowhere" in printed["problems"][0]
+
+
+@pytest.mark.slow
+def test_json_holds_the_table_and_the_notes_that_the_screen_shows(tmp_path: Path) -> None:
+    """A frame that is missing has no numbers: null, as NaN is no JSON."""
+    calibration, rest = tmp_path / "flat.npz", tmp_path / "rest.png"
+    assert twin("run", "first_press", "--want", "picture", "--out", str(tmp_path)).returncode == 0
+    assert twin("calibrate", "--scene", "first_press", "--out", str(calibration)).returncode == 0
+    done = twin("reconstruct", str(rest), str(rest), "nowhere.png", "--calibration", str(calibration), "--json")
+    assert done.returncode == 3
+    printed = json.loads(done.stdout, parse_constant=pytest.fail)
+    seen, missing = printed["rows"]
+    assert abs(seen["Fz N"]) < 0.1
+    assert missing["Fz N"] is None
+    assert [line for line in printed["notes"] if line.startswith("frames      2, 1 failed")]
+    assert "frames      2, 1 failed" in done.stderr

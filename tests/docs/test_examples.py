@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from twin.study.intrinsics import read_intrinsics
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 
 
@@ -128,6 +130,29 @@ def test_torch_loads_pictures_in_batches(monkeypatch: pytest.MonkeyPatch) -> Non
     train = list(torch_loader.loader("anywhere", ["force_n"], "train", batch_size=1, workers=0))
     assert np.asarray(test["force_n"])[:, 0].tolist() == [1.0]
     assert len(train) == 4, "every fifth sensor from the second on is for tests; one sample failed"
+
+
+def test_a_checkerboard_tells_the_camera(tmp_path: Path) -> None:
+    """Boards drawn through a known camera give its focal length and distortion."""
+    cv2 = pytest.importorskip("cv2", reason="of the extra 'peers'")
+    board = np.kron(np.indices((9, 12)).sum(0) % 2, np.ones((20, 20))) * 200 + 30
+    board[:20], board[-20:], board[:, :20], board[:, -20:] = 230, 230, 230, 230
+    matrix, distortion = np.array([[620, 0, 322], [0, 618, 236], [0, 0, 1.0]]), np.array([-0.12, 0.03, 0, 0, 0])
+    column, row = np.meshgrid(np.arange(640.0), np.arange(480.0))
+    seen = cv2.undistortPoints(np.stack([column, row], axis=-1).reshape(-1, 1, 2), matrix, distortion)[:, 0]
+    rays, rng = np.c_[seen, np.ones(len(seen))], np.random.default_rng(1)
+    for number in range(10):
+        turn = cv2.Rodrigues(rng.normal(0, 0.3, 3))[0]
+        origin, ray = -turn.T @ [*rng.normal((-6, -4.5), 1), 16], rays @ turn
+        place = origin - origin[2] / ray[:, 2:] * ray
+        at = (20 * place[:, :2] - 0.5).astype(np.float32).reshape(480, 640, 2)
+        picture = cv2.remap(board.astype(np.uint8), at, None, cv2.INTER_LINEAR, borderValue=(150,))
+        cv2.imwrite(str(tmp_path / f"{number}.png"), picture)
+    example("checkerboard").calibrate(tmp_path, 9, 6, tmp_path / "camera.yaml")
+    found = read_intrinsics(tmp_path / "camera.yaml")
+    assert found["focal_px"] == pytest.approx(620, rel=0.01)
+    assert found["distortion"][0] == pytest.approx(-0.12, abs=0.02)
+    assert found["width_px"] == 640
 
 
 # --- tutorials ------------------------------------------------------------------------------------

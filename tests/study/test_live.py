@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -172,7 +173,8 @@ def test_a_press_at_rest_states_the_measured_cost_of_linear_theory(page: Any, li
     table, _ = step(page, live.start().question() | {"measured": True})
     validity = live.environment.sensor.validity(live.environment.sensor.press())
     assert f"is {100 * validity.linearisation_error:.2g} % of the largest" in table["contact"]["warnings"][0]
-    assert table["contact"]["warnings"][-1] == validity.linearisation_basis == "measured"
+    assert validity.linearisation_basis == "measured"
+    assert table["contact"]["warnings"][-1] == "what linear theory costs is measured"
 
 
 def test_a_port_that_can_t_be_had_is_said_before_any_work(page: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -216,6 +218,21 @@ def command() -> Iterator[tuple[subprocess.Popen[str], str]]:
     finally:
         running.kill()
         running.wait()
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="needs a browser: apt install chromium")
+def test_a_control_with_the_focus_keeps_its_own_keys(live: LivePress, tmp_path: Path) -> None:
+    """A box is ticked by the space bar, and a slider moved by arrows, which elsewhere move the probe."""
+    asked = [["time", " "], ["circle", " "], ["push_n", "ArrowRight"], ["true", "ArrowRight"], ["true", " "]]
+    script = f"""<script>document.body.dataset.taken = {json.dumps(asked)}.map(([id, key]) => {{
+        const pressed = new KeyboardEvent("keydown", {{key, bubbles: true, cancelable: true}});
+        byId(id).dispatchEvent(pressed); return pressed.defaultPrevented; }})</script></body>"""
+    page = tmp_path / "live.html"
+    text = BodyView.hand_page({**live.facts(), "title": "press"})
+    page.write_text(text.replace("</body>", script))
+    browser = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", page.as_uri()]
+    shown = subprocess.run(browser, capture_output=True, text=True, check=True).stdout
+    assert 'data-taken="false,false,false,true,true"' in shown
 
 
 @pytest.mark.slow

@@ -291,16 +291,15 @@ class LivePress:
             weights = state.pressure_mpa
             middle = np.average(centres, axis=0, weights=np.maximum(weights, 0) + 1e-12)
             validity = state.validity if measured is None else sensor.validity(state, measured)
-            basis = (
-                () if measured is None or not validity.notes else (validity.linearisation_basis,)
-            )
+            basis = f"what linear theory costs is {validity.linearisation_basis}"
+            told = (basis,) if measured is not None and validity.notes else ()
             contact = {
                 "place": sensor.actual.scene.body.chart_of(middle[None])[0],
                 "radius_mm": state.contact_radius_mm,
                 "indentation_mm": state.indentation_mm,
                 "peak_pressure_mpa": state.peak_pressure_mpa,
                 "slip": float(np.mean(state.slip)) if state.friction else None,
-                "warnings": (*validity.warnings, *validity.notes, *basis),
+                "warnings": (*validity.warnings, *validity.notes, *told),
             }
         return {
             "hand": hand.question(),

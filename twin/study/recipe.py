@@ -48,12 +48,14 @@ _OTHERS = {
     b"PAR1": ("a table (Parquet)", _FOLDERS),
     b"{": ("JSON", _FOLDERS),
     b"<": ("a page", "open it in a browser"),
+    b"ISO-10303": ("a STEP file", "export an STL file, in mm, from the program that made it"),
 }
 """Other files that people name, by their first bytes, with what takes them."""
 
 _SURFACE = (
     "a surface (STL)",
-    "name it in a scene, as file of a [body] with shape = 'solid' (docs/add_body.md)",
+    "name it in a scene, as file of a [body] with shape = 'solid'; twin view shows it "
+    "(docs/own_body.md)",
 )
 """A binary STL file may begin with anything, so it is known by its ending."""
 
@@ -626,8 +628,8 @@ def _find(name: str, near: Sequence[Path], what: str, where: Path | None = None)
             return candidate
     known = [p.stem for p in sorted(folder.glob("*.toml")) if p.stem.startswith(SWEEP) == is_sweep]
     otherwise = f"there is no such file, and shipped ones are: {', '.join(known)}"
-    files = [file.name for file in given[0].absolute().parent.glob("*.toml")]
-    near_file = did_you_mean(Path(name).name, files, otherwise)
+    files = [file.stem for file in given[0].absolute().parent.glob("*.toml")]
+    near_file = did_you_mean(Path(name).stem, files, otherwise).replace("'?", ".toml'?")
     text = f"no {what} '{name}': {did_you_mean(Path(name).stem, known, near_file)}"
     if name and any(os.path.lexists(file) for file in given):
         text = f"{what} '{name}': is no file to read, but a folder, a device, or a link to nowhere"
