@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk, j0, j1
 
 from twin.errors import AccuracyWarning
-from twin.parts.press import Object, Press, Step
+from twin.parts.press import Cylinder, Object, Pillar, Press, Step
 from twin.study.recipe import load_scene, validate_scene
 from twin.study.sensor import Sensor
 
@@ -102,12 +102,37 @@ def test_patches_cut_the_border_of_a_wide_contact_on_thin_rubber():
     assert off < state.error.force < 3.0 * off
 
 
+def test_patches_cut_the_border_of_a_contact_that_no_closed_form_gives():
+    """A ball on a layer four times as thick as the contact's radius."""
+    on_gel = {"probe": {"kind": "sphere", "diameter_mm": 24.0}, "steps": [{"move_mm": {"z": 0.52}}]}
+    state, finer = (on_block(across, (80.0, 70.0, 10.0), 1.0, 0.3, **on_gel) for across in (12, 37))
+    off, _ = relative(finer, state)
+    assert off < state.error.force < 3.0 * off
+
+
 def test_a_rim_that_patches_cut_pushes_sideways_next_to_an_edge():
     near = {"probe": {"kind": "cylinder", "diameter_mm": 1.73, "edge_mm": 0.173}, "at_mm": [0.86, -0.86],
             "friction": 0.3, "steps": [{"force_n": {"z": 0.268}}]}  # fmt: skip
     state, finer = (on_block(across, (11.18, 6.9, 2.3), 2.33, 0.3, **near) for across in (12, 24))
     off, _ = relative(finer, state)
     assert off < state.error.force < 3.0 * off
+
+
+@pytest.mark.parametrize(
+    ("probe", "across"),
+    [(Cylinder(diameter_mm=5, edge_mm=0.375), 13), (Pillar(width_mm=5, length_mm=4, edge_mm=0.125), 16)],
+)
+def test_patches_end_by_chance_on_a_rounded_rim(probe, across):
+    wanted = Press(probe=probe, indentation_mm=0.2)
+    state = pressed(wanted, across=across)
+    off, _ = relative(pressed(wanted, across=38), state)
+    assert off < state.error.force < 2.0 * off
+
+
+def test_where_wider_patches_run_over_the_edge_narrower_ones_tell_the_error():
+    state, finer = (pressed(ball(10, at_mm=(49.14, 0), indentation_mm=0.1), across=across) for across in (14, 28))
+    off, _ = relative(finer, state)
+    assert off < state.error.force < 0.01
 
 
 def test_a_corner_that_patches_cut_is_off_by_more_than_a_rim():
