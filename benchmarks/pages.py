@@ -611,9 +611,11 @@ def _stability() -> dict[str, str]:
             bodies.append({"case": f"{row['number']}: {row['what']}", "of the": what, "stated": stated[what],
                            "off": off[what], "tractions stated": stated["traction"],
                            "tractions off": off["traction"]})  # fmt: skip
-    title = f"**The {len(bodies)} of {len(compared)} that are off by more than {NEAR:g} times what is stated**"
+    title = (
+        f"The {len(bodies)} of {len(compared)} of the second series that are off by over {NEAR:g} times what is stated"
+    )
     return {
-        "bodies": f"\n{title}\n\n{table(bodies)}\n\n",
+        "bodies": f"\n{folded(title, table(bodies))}\n\n",
         "results": "\n".join(["", *(_long_run(name, read(name)) for name in names)]),
     }
 
@@ -625,12 +627,12 @@ def _long_run(name: str, found: Row) -> str:
         for kind, words in (("valid", "Random valid scenes"), ("invalid", "Random spoilt recipes")):
             mine = found[kind]
             rows: list[Row] = [{"what became of it": what, "scenes": n} for what, n in mine["outcomes"].items()]
-            parts.append(
-                f"**{words}: {mine['drawn']} drawn, {mine['outcomes'].get('failed', 0)} failed, "
-                f"{mine['cpu_s']:.0f} CPU s, the slowest {mine['slowest_s']:.3g} s.**\n\n{table(rows)}\n"
+            title = (
+                f"{words}: {mine['drawn']} drawn, {mine['outcomes'].get('failed', 0)} failed, "
+                f"{mine['cpu_s']:.0f} CPU s, the slowest {mine['slowest_s']:.3g} s"
             )
-            if mine["worst"]:
-                parts.append(f"{table([{'what': w, 'largest': size} for w, size in mine['worst'].items()])}\n")
+            largest = [{"what": what, "largest": size} for what, size in mine["worst"].items()]
+            parts.append(folded(title, "\n\n".join(table(shown) for shown in (rows, largest) if shown)) + "\n")
         return "\n".join(parts)
     rows = found["rows"]
 
@@ -639,12 +641,12 @@ def _long_run(name: str, found: Row) -> str:
 
     heading = {
         "fuzz": lambda: (
-            f"Damaged and hostile files: {total('attempts')} attempts on {len(rows)} readers, {total('failed')} failed."
+            f"Damaged and hostile files: {total('attempts')} attempts on {len(rows)} readers, {total('failed')} failed"
         ),
-        "kills": lambda: f"Killed at {total('killed')} random moments: {total('lost or torn')} files lost or torn.",
-        "endurance": lambda: f"{found['minutes']:.0f} minutes of mixed work in one process, {found['rounds']} rounds.",
+        "kills": lambda: f"Killed at {total('killed')} random moments: {total('lost or torn')} files lost or torn",
+        "endurance": lambda: f"{found['minutes']:.0f} minutes of mixed work in one process, {found['rounds']} rounds",
     }[name]()
-    return f"**{heading}**\n\n{table(rows)}\n"
+    return f"{folded(heading, table(rows))}\n"
 
 
 # wrong lines
@@ -700,9 +702,7 @@ def store_reproduction(folder: Path) -> None:
 
 
 def _reproduction() -> dict[str, str]:
-    from twin.study.reproduce.bench import FITTED
     from twin.study.reproduce.design_limits import in_short
-    from twin.study.reproduce.record import Record
 
     rows = stored("reproduction")
     records = [row["record"] for row in rows if "record" in row]
@@ -711,10 +711,6 @@ def _reproduction() -> dict[str, str]:
     parts = {"counts": f"Of {sum(said.values())} numbers that the papers print: {counts}.\n"}
     sections = (f"**{title}.** {' '.join(lines)}" for title, lines in in_short(records).items())
     parts["short"] = "\n\n".join(sections) + "\n"
-    unprinted = [_unprinted(row) for row in Record.settled(records)[1]]
-    for paper in ("kamiyama", "sato"):
-        mine = [_printed(r) for r in records if r["name"].startswith(paper) and r["paper"] is not None]
-        parts[paper] = f"Fitted: {'; '.join(FITTED[paper])}.\n\n{table(mine)}\n"
     half_space = [
         {"load and layer": r["quantity"].split(":")[0], "off by, over the largest motion": r["twin"]}
         for r in records
@@ -727,8 +723,21 @@ def _reproduction() -> dict[str, str]:
         f"All entries took {sum(row['CPU'] for row in seconds):.0f} s of CPU on one core and "
         f"{sum(row['wall'] for row in seconds):.0f} s of the clock, beside other work. Longest, s of CPU: {longest}.\n"
     )
-    tables = {"same hardware": same_hardware, "half-space": half_space, "unprinted": unprinted}
+    tables = {"same hardware": same_hardware, "half-space": half_space}
     return parts | {mark: f"{table(shown)}\n" for mark, shown in tables.items()}
+
+
+def _numbers() -> dict[str, str]:
+    from twin.study.reproduce.bench import FITTED
+    from twin.study.reproduce.record import Record
+
+    records = [row["record"] for row in stored("reproduction") if "record" in row]
+    parts = {"unprinted": f"{table([_unprinted(row) for row in Record.settled(records)[1]])}\n"}
+    for paper, sensor in (("kamiyama", "The flat sensor (Kamiyama)"), ("sato", "The finger (Sato)")):
+        mine = [_printed(r) for r in records if r["name"].startswith(paper) and r["paper"] is not None]
+        title = f"{sensor}: {len(mine)} numbers. Fitted: {'; '.join(FITTED[paper])}"
+        parts[paper] = f"{folded(title, table(mine))}\n"
+    return parts
 
 
 def _short(verdict: str) -> str:
@@ -765,7 +774,7 @@ def _printed(record: Row) -> Row:
         "paper": f"{record['paper']:g}",
         "twin": "not defined" if record["twin"] is None else f"{record['twin']:.3g}{spread}",
         "n": record["n"],
-        "agreement": record["verdict"],
+        "agreement": re.sub(r" \([^()]* is plausible\)", "", record["verdict"]),
     }
 
 
@@ -878,6 +887,7 @@ PAGES = {
     "stability": Page(file=DOCS / "stability.md", parts=_stability),
     "trust": Page(file=DOCS / "trust.md", parts=_trust),
     "reproduction": Page(file=DOCS / "reproduction.md", parts=_reproduction),
+    "reproduction_numbers": Page(file=DOCS / "reproduction_numbers.md", parts=_numbers),
 }
 
 

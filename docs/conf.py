@@ -26,6 +26,7 @@ myst_enable_extensions = ["dollarmath", "colon_fence", "attrs_inline"]
 myst_heading_anchors = 2
 html_math_renderer = "mathml"
 html_theme = "furo"
+html_show_sourcelink = False
 html_title = "twin: digital twin of camera-based tactile sensors"
 html_static_path = ["docs_style.css"]
 html_css_files = ["docs_style.css"]
@@ -62,10 +63,13 @@ def both_pictures(app, name, text):
 ACCESS = {
     'class="caption" role="heading">': 'class="caption" role="heading" aria-level="2">',
     '<div class="highlight"><pre>': '<div class="highlight"><pre tabindex="0">',
+    'class="table-wrapper colwidths-auto docutils container"': 'class="table-wrapper docutils container" tabindex="0"',
+    '<div id="search-results"></div>': '<h1>Search</h1>\n<div id="search-results"></div>',
     '<aside class="sidebar-drawer">': '<aside class="sidebar-drawer" aria-label="All pages">',
     '<aside class="toc-drawer">': '<aside class="toc-drawer" aria-label="This page">',
 }
-"""What the theme's pages lack for keyboards and screen readers, as axe-core 4 finds it: listings that scroll."""
+"""What the theme's pages lack for keyboards and screen readers, as axe-core 4 finds it: listings and
+tables that scroll."""
 
 
 def make_accessible(app, problem):

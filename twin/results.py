@@ -257,20 +257,20 @@ class RunResult:
         """Return the errors of total force, centre and field that are defined."""
         lines = []
         if force["total_force_error"] is not None:
-            lines.append(f"total force {100 * force['total_force_error']:.1f} % off")
+            lines.append(f"total force {_share(force['total_force_error'], 1)} off")
             if self.estimate is not None and len(self.estimate.force_n):
                 sites = self.estimate.force_n.sum(axis=0)
                 total = self.estimate.total_force_n
                 if not np.allclose(sites, total, rtol=1e-6, atol=1e-9):
                     lines[-1] += f": Fz {total[2]:.4g} N, solved without bounds"
                     lines.append(
-                        f"sites' sum  {100 * force['sites_force_error']:.1f} % off: Fz "
+                        f"sites' sum  {_share(force['sites_force_error'], 1)} off: Fz "
                         f"{sites[2]:.4g} N, of sites that only push or obey friction"
                     )
         if force["centre_error_mm"] is not None:
             lines.append(f"centre      {force['centre_error_mm']:.3g} mm off")
         if force["field_error"] is not None:
-            lines.append(f"force field {100 * force['field_error']:.0f} % off")
+            lines.append(f"force field {_share(force['field_error'], 0)} off")
         return lines
 
     def plot(self) -> Any:
@@ -343,6 +343,11 @@ class RunResult:
                 write_whole(folder / f"{name}.png", png_bytes(picture))
         if self.score is not None:
             write_json(folder / "score.json", {**self.score, "facts": self.facts})
+
+
+def _share(error: float, digits: int) -> str:
+    """Return an error over the size of what is true; in percent up to ten times."""
+    return f"{100 * error:.{digits}f} %" if error < 10 else f"{error:.0f} times its size"
 
 
 MARK = "timings.json"
