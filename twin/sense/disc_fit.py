@@ -45,14 +45,12 @@ from twin.sense.centre import (
 )
 from twin.sense.match import GATE, TRUST, Neighbourhood
 from twin.sense.rest_templates import (
-    LINEAR,
-    OUTLYING,
     USUAL,
     LayerSignal,
     bounded_rms,
+    in_other_light,
     make_templates,
     noise_now,
-    smooth_gradient,
 )
 from twin.sense.shape_fit import Expected, fit_shapes, fit_visible
 from twin.sense.soft_window import SoftWindow
@@ -65,12 +63,12 @@ from twin.sense.template import (
     EDGE,
     FITS,
     FITTING,
-    GROUND,
     LEAST_SPREAD,
     LEVEL,
     MARGIN_PX,
     MISFIT,
     ONE_SIDED,
+    OUTLIER_SD,
     OWN_SHAPE,
     PART_IN_SIGHT,
     PIXELS,
@@ -78,7 +76,6 @@ from twin.sense.template import (
     SCALE,
     SHAPE,
     SHORTFALL,
-    SLOPES,
     SMALLER,
     SQUARES,
     STEP,
@@ -97,14 +94,6 @@ from twin.sense.template import (
 SMOOTHER = 0.88
 """Brightness, or both (`LayerSignal.brightness`), replaces a layer's colour where third harmonics
 of edges at rest (`_coherence`) are smaller by this factor."""
-
-RELIT = 5.0
-"""Standard deviations of a marker's slope of brightness by which a change that all markers share
-exceeds chance: then the light may have changed."""
-
-AGREE = 0.25
-"""Share, squared, of the markers' change of slope that may be left by what the change from marker
-to marker explains."""
 
 LEAST_EDGE = 0.5
 """Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
@@ -202,6 +191,11 @@ outlines reach over more of the ground's texture."""
 ROUGHER = 1.6
 """Squared residuals of most markers, over the usual ones, beyond which noise that the rest picture
 has not hangs together over pixels."""
+
+LACKING = 1.5
+"""Where a picture is compressed more, or less, than the rest picture: light, size and fit that are
+together worse than most markers' by more standard deviations (of whole markers one in five) may be
+those of a hidden part, which moves a marker by about as many of its own."""
 
 SINCE = 1.35
 """Errors where a picture is compressed and the rest picture is not, over those that the third
@@ -333,12 +327,8 @@ class DiscFit(SoftWindow):
         """Return (n, `COLUMNS`) fits of all markers, also of those that don't look as at rest."""
         templates = self.templates
         fitted = templates.fit(picture, start_px, lead)
-        # Where the light has changed over the picture, slopes of brightness follow it.
-        change = self._change_of_light(fitted)
-        if change is not None:
-            templates = replace(templates, slopes=templates.slopes + change)
-            fitted = templates.fit(picture, for_kernel(fitted[:, CENTRE]))
-            fitted[:, CENTRE] -= self._moved_by_ground(fitted)
+        if now := in_other_light(picture, templates, fitted, self._evenly):
+            templates, fitted = now
         cut = self._cut(fitted, start_px)
         if not (np.fmax.reduce(fitted[:, DOUBTED]) > 0.0 or cut.any()):
             return fitted  # nearly always
@@ -434,37 +424,6 @@ class DiscFit(SoftWindow):
         outline[taken] = shape[taken][:, [0, 1, 2, 6]]
         return templates, misfit
 
-    def _change_of_light(self, fitted: Floats) -> Floats | None:
-        """Return (2, 6) by what smooth function of the place, as `Templates.slopes`, the slopes of
-        brightness have changed with the light; None where no more than by chance.
-
-        Light that changes from marker to marker also changes across each of them. Only where both
-        are found, and agree, has it changed: pixels that lie alike on all markers feign slopes.
-        """
-        size, rest = self.look.picture_px, self.templates.rest
-        # The sums of the changed slopes, outliers bounded, times a constant and two slopes.
-        change, evenly = fitted[:, SLOPES] - rest[:, SLOPES], self._evenly
-        known = np.isfinite(change[:, 0])
-        count = int(np.count_nonzero(known))
-        if count < LINEAR:
-            return None
-        if count < len(known):
-            change, evenly = change[known], evenly[known]
-        middle = _middle(change)
-        change = change - middle
-        reach = OUTLYING * 1.4826 * _middle(np.abs(change))
-        bounded = np.minimum(np.maximum(change, -reach), reach) + middle
-        along = evenly.T @ bounded
-        squares = (along * along).sum(axis=0)
-        left = np.maximum((bounded * bounded).sum(axis=0) - squares, 0.0)
-        if (np.abs(along).max(axis=0) <= RELIT * np.sqrt(left / count)).all():
-            return None
-        known = np.isfinite(fitted[:, LEVEL] / rest[:, LEVEL])
-        places = fitted[known, CENTRE]
-        light = smooth_gradient(np.log(fitted[known, LEVEL] / rest[known, LEVEL]), places, size)
-        left = along - self._evenly[known].T @ (slope_terms(places, size) @ light.T)
-        return light if (left**2).sum() < AGREE * (along**2).sum() else None
-
     @cached_property
     def _evenly(self) -> Floats:
         """(n, 3) a constant and two slopes over the picture, orthonormal over the markers; 0 where
@@ -474,17 +433,6 @@ class DiscFit(SoftWindow):
         terms = slope_terms(self.around.rest_px[known], self.look.picture_px)
         basis[known] = np.linalg.qr(np.pad(terms[:, :3], ((0, 3), (0, 0))))[0][: known.sum()]
         return basis
-
-    def _moved_by_ground(self, fitted: Floats) -> Pixels:
-        """Return (n, 2) how far the ground moves fitted centres, px, by a slope of its brightness
-        that it did not have at rest: by the sum of edge times slope over that of the edge squared.
-        """
-        size, shape = self.look.picture_px, self.templates.shape
-        change, places = fitted[:, GROUND] - self.templates.rest[:, GROUND], fitted[:, CENTRE]
-        known = np.isfinite(change)
-        slope = slope_terms(places, size) @ smooth_gradient(change[known], places[known], size).T
-        edge = 5.0 / 7.0 * fitted[:, LEVEL] * (1.0 + shape[:, 5]) / shape[:, 6]
-        return np.asarray(slope * (np.sqrt(shape[:, 0] * shape[:, 2]) / edge)[:, None])
 
     def _cut(self, fitted: Floats, start_px: Pixels) -> Bools:
         """Return (n,) which markers the picture's frame cuts: less of the edge is in sight, or it
@@ -666,9 +614,26 @@ class DiscFit(SoftWindow):
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
         more = self._unseen_cut(fitted, sd, factor) + 2.0 * SD_FLOOR_PX**2
+        if templates.coherent:
+            noisier = _quantiles(fitted[:, MISFIT], USUAL)[0] / templates.usual_misfit
+            if self.rougher or not 1.0 / ROUGHER < noisier < ROUGHER:
+                lacking = self._lacking(fitted) ** 2 - LACKING**2
+                more += np.fmax(lacking, 0.0) * (factor * sd) ** 2
         sd = np.sqrt(_edge_sds(fitted, templates, rest_sd, sd, factor) ** 2 + more)
         since = SINCE if self.rougher else 1.0
         return Seen(shift_px=shift, sd_px=since * sd, state=state, coherence=since * factor)
+
+    def _lacking(self, fitted: Floats) -> Floats:
+        """Return (n,) by how many standard deviations light, size and fit together are worse than
+        most markers'; 0 for parts in sight, at most `OUTLIER_SD` by each."""
+        scale = fitted[:, SCALE] / self.templates.rest[:, SCALE]
+        light = fitted[:, LEVEL] / self.templates.rest[:, LEVEL] * scale**2
+        worse = np.column_stack([-light, -scale, np.log(fitted[:, MISFIT]), fitted[:, SHORTFALL]])
+        worse[fitted[:, RESHAPED] == PART_IN_SIGHT] = np.nan
+        worse -= _medians(worse, 0)
+        spread = np.fmax(1.4826 * _medians(np.abs(worse), 0), 1e-9)
+        bounded = np.fmin(np.fmax(worse / spread, 0.0), OUTLIER_SD)
+        return np.asarray(np.sqrt((bounded**2).sum(axis=1)))
 
     def _unseen_cut(self, fitted: Floats, sd: Floats, factor: float) -> Floats:
         """Return (n,) the variance of shifts, per axis, px^2, of a cut that looks like less size.
@@ -706,12 +671,6 @@ def _quantiles(values: Floats, *shares: float) -> list[float]:
     ranked = np.sort(values)  # NaN come last
     last = max(int(np.isfinite(values).sum()) - 1, 0)
     return [float(ranked[round(share * last)]) for share in shares]
-
-
-def _middle(values: Floats) -> Floats:
-    """Return the medians of the columns of ``values`` (n, q), none of which is NaN."""
-    ranked, count = np.sort(values, axis=0), len(values)
-    return np.asarray(0.5 * (ranked[(count - 1) // 2] + ranked[count // 2]))
 
 
 def _square(vectors: Floats) -> Floats:

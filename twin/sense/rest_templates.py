@@ -35,6 +35,7 @@ from twin.sense.template import (
     MISFIT,
     NO_RUNS,
     SHAPE,
+    SLOPES,
     Templates,
     disc_offsets,
     gather,
@@ -98,6 +99,14 @@ LEAST_FREE = 0.5
 OUTLYING = 3.0
 """A score of more medians counts as one of so many: under moving shadows up to a quarter of a layer
 may have more."""
+
+RELIT = 5.0
+"""Standard deviations of a marker's slope of brightness by which a change that all markers share
+exceeds chance: then the light may have changed."""
+
+AGREE = 0.25
+"""Share, squared, of the markers' change of slope that may be left by what the change from marker
+to marker explains."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -348,7 +357,7 @@ def _smooth(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
     return shared
 
 
-def smooth_gradient(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
+def _smooth_gradient(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
     """Return (2, 6) the slopes along x and y, 1/px, of the smooth function of the place that
     ``values`` (n,) follow, by the terms of `slope_terms`."""
     _, u, v, uu, uv, vv = _smooth(values[:, None], places, size)[0]
@@ -356,6 +365,61 @@ def smooth_gradient(values: Floats, places: Pixels, size: Sequence[int]) -> Floa
     slopes[0, :3] = np.array([u, 2.0 * uu, uv]) / size[1]
     slopes[1, :3] = np.array([v, uv, 2.0 * vv]) / size[0]
     return slopes
+
+
+def _middle(values: Floats) -> Floats:
+    """Return the medians of the columns of ``values`` (n, q), none of which is NaN."""
+    ranked, count = np.sort(values, axis=0), len(values)
+    return np.asarray(0.5 * (ranked[(count - 1) // 2] + ranked[count // 2]))
+
+
+def in_other_light(
+    picture: Picture, templates: Templates, fitted: Floats, evenly: Floats
+) -> tuple[Templates, Floats] | None:
+    """Return templates whose slopes of brightness follow the light, and their fits, where it has
+    changed over the picture since rest; None where no more than by chance.
+
+    Light that changes from marker to marker also changes across each of them. Only where both are
+    found, and agree, has it changed: pixels that lie alike on all markers feign slopes. ``fitted``
+    (n, `COLUMNS`) are the fits without; ``evenly`` (n, 3) a constant and two slopes over the
+    picture, orthonormal over the markers.
+    """
+    size, rest = picture.shape[:2], templates.rest
+    # The sums of the changed slopes, outliers bounded, times a constant and two slopes.
+    change = fitted[:, SLOPES] - rest[:, SLOPES]
+    known = np.isfinite(change[:, 0])
+    count = int(np.count_nonzero(known))
+    if count < LINEAR:
+        return None
+    basis = evenly
+    if count < len(known):
+        change, basis = change[known], evenly[known]
+    middle = _middle(change)
+    change = change - middle
+    reach = OUTLYING * 1.4826 * _middle(np.abs(change))
+    bounded = np.minimum(np.maximum(change, -reach), reach) + middle
+    along = basis.T @ bounded
+    squares = (along * along).sum(axis=0)
+    left = np.maximum((bounded * bounded).sum(axis=0) - squares, 0.0)
+    if (np.abs(along).max(axis=0) <= RELIT * np.sqrt(left / count)).all():
+        return None
+    known = np.isfinite(fitted[:, LEVEL] / rest[:, LEVEL])
+    places = fitted[known, CENTRE]
+    light = _smooth_gradient(np.log(fitted[known, LEVEL] / rest[known, LEVEL]), places, size)
+    left = along - evenly[known].T @ (slope_terms(places, size) @ light.T)
+    if (left**2).sum() >= AGREE * (along**2).sum():
+        return None
+    relit = replace(templates, slopes=templates.slopes + light)
+    fitted = relit.fit(picture, for_kernel(fitted[:, CENTRE]))
+    # A slope of the ground's brightness moves a centre, by the sum of edge times slope over that of
+    # the edge squared.
+    shape, places = templates.shape, fitted[:, CENTRE]
+    change = fitted[:, GROUND] - rest[:, GROUND]
+    known = np.isfinite(change)
+    slope = slope_terms(places, size) @ _smooth_gradient(change[known], places[known], size).T
+    edge = 5.0 / 7.0 * fitted[:, LEVEL] * (1.0 + shape[:, 5]) / shape[:, 6]
+    fitted[:, CENTRE] -= slope * (np.sqrt(shape[:, 0] * shape[:, 2]) / edge)[:, None]
+    return relit, fitted
 
 
 def _noise_variances(

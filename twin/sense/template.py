@@ -283,7 +283,7 @@ def _sums(
         sharp += missed * tilt
         both += on * (dx * jx + dy * jy)
         slopes += on * model * (dx * dx + dy * dy)
-        bounded = residual * math.sqrt(trust)
+        bounded = residual * trust
         missed *= bounded
         on *= bounded
         edge_x += missed * nx
