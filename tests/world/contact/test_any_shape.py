@@ -175,7 +175,7 @@ def test_an_inclined_face_is_pressed_by_its_rim(tilt, depth):
     state = pressed(press, on=HalfSpace(0.5))
     off = abs(state.force_n[2] / force - 1.0)
     assert off < 0.01
-    assert off / 3.0 <= state.error.force < 0.02
+    assert off / 3.0 <= state.error.force < 0.025
 
 
 def grating_force(cells):
@@ -323,3 +323,10 @@ def test_a_rim_that_just_touches_a_slope_is_found():
     assert state.indentation_mm == pytest.approx(1e-3)
     away = math.hypot(*(centre_of(state)[:2] - wanted.at_mm[:2]))
     assert away == pytest.approx(flat, abs=0.4214 * math.sin(2 * slope) + 0.05)
+
+
+def test_no_number_of_patches_misses_the_thread_that_a_screw_ends_with():
+    """It is narrower than the coarse patches by which the contact is found."""
+    screw = Press(probe=Object(shape="screw", width_mm=2.627), indentation_mm=0.153)
+    forces = [pressed(screw, across=across, nu=0.3).force_n[2] for across in (12, 16, 20)]
+    assert forces == pytest.approx([forces[0]] * 3, rel=4e-3)

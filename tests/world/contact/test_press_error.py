@@ -135,10 +135,13 @@ def test_where_wider_patches_run_over_the_edge_narrower_ones_tell_the_error():
     assert off < state.error.force < 0.01
 
 
-def test_a_corner_that_patches_cut_is_off_by_more_than_a_rim():
-    wanted = face(3.0, tilt_deg=(-13.0, -19.0, 0.0), indentation_mm=0.1)
-    state = pressed(wanted, across=10)
-    off, _ = relative(pressed(wanted, across=28), state)
+@pytest.mark.parametrize(
+    ("tilt_deg", "depth_mm", "across"), [((-13.0, -19.0, 0.0), 0.1, 10), ((1.5, 25.0, -12.6), 0.3, 16)]
+)
+def test_a_corner_that_patches_cut_is_off_by_more_than_a_rim(tilt_deg, depth_mm, across):
+    wanted = face(3.0, tilt_deg=tilt_deg, indentation_mm=depth_mm)
+    state = pressed(wanted, across=across)
+    off, _ = relative(pressed(wanted, across=34), state)
     assert off < state.error.force < 3.0 * off
 
 

@@ -117,9 +117,11 @@ _DENSE_MOST = 1500
 """Patches at most in the search, and where the compliance between them is stored as a matrix."""
 
 _PIECES_MARGIN = 0.05
+_BESIDE = 0.1
 _NEAR = 0.1
-"""Margin around a contact in pieces; change of the depth, and of the place over the contact, that
-ends the search."""
+"""Margin around a contact in pieces, and how far beside it, over its size, its overlap may lie
+before a piece counts as missed; change of the depth, and of the place over the contact, that ends
+the search."""
 
 _GROWTH = 4.0
 """How many times as deep a probe may come from one try to the next."""
@@ -537,7 +539,11 @@ def _find_overlap(
         if abs(pose[Z] - before[Z]) <= _NEAR * depth and near.all():
             if np.any(found.active & patches.border):
                 return plane, whole, pose
-            return plane, patches.bounds(found.active)._replace(width_mm=width), pose
+            touched = patches.bounds(found.active)._replace(width_mm=width)
+            # Coarse patches may miss a small piece beside the others.
+            around = touched.grown(*(_BESIDE * size for size in touched.size))
+            missed = math.isfinite(width) and around.joined(contact) != around
+            return plane, touched.joined(contact) if missed else touched, pose
     raise NotSettled(
         f"contact: the depth of the {setup.name} did not settle in {_ROUNDS} tries (last: "
         f"{pose[Z] - touch_z:.3g} mm): press by motion, or harder"

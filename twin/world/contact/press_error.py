@@ -111,13 +111,14 @@ _CUT_FREE = 0.1
 """Error of the force under an object's smooth borders, times patches over those of a square that a
 disc as wide as the contact fills; with the power 1.5 of the border's length over that disc's."""
 
-_CUT_RIM = 0.1
+_CUT_RIM = 0.25
 """The same under a flat face so inclined that it touches with its rim, times the patches across.
-Measured at 8 to 32 across, 25 and 30 degrees: 0.05 to 0.14."""
+Measured at 8 to 20 across against 30 to 37, 20 to 30 degrees: up to 0.25,
+part of it told by other patches."""
 
-_CUT_CORNER, _ASKEW = 0.3, 0.1
+_CUT_CORNER, _ASKEW = 0.45, 0.02
 """The same where it touches with a corner, and the least ratio of its two tilts there. Measured
-under two pillars at 8 to 32 across: up to 0.35."""
+under ten pillars likewise: up to 0.44, once 0.8."""
 
 _WALLS = 0.12
 """Error of the force as patches end at the rim of an inclined flat face, whose side wall touches
