@@ -147,16 +147,21 @@ class Sweep(Part):
             return [float(f"{v:.12g}") for v in value]  # round numbers, not 1.7000000000000002
 
     class Loads(Part):
-        """What pushes on every design: square patches under even traction, the same for all.
+        """What pushes on every design, the same for all: square patches under even traction, or the
+        scene's probe.
 
         Attributes
         ----------
         force_n
             Force of a press along the inward normal.
+        probe
+            Whether the scene's probe presses, with its friction, in place of the patches: by the
+            full chain only, and without pairs. `Material.law` may be any.
         size_mm
-            Side of the patch.
+            Side of the patch; with ``probe`` the room that a press needs on the surface.
         shear
-            Tangential force over the normal one, in a direction of its own for every press.
+            Tangential force over the normal one, in a direction of its own for every press. A probe
+            needs friction above it.
         presses
             Presses at quasi-random places; one more, at the middle and without shear, is for the
             widths.
@@ -169,6 +174,7 @@ class Sweep(Part):
         """
 
         force_n: float = Field(default=1.0, gt=0, le=100)
+        probe: bool = False
         size_mm: float = Field(default=1.0, gt=0, le=20)
         shear: float = Field(default=0.3, ge=0, le=2)
         presses: int = Field(default=5, ge=1, le=100)

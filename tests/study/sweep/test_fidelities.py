@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import qmc
-from small_sweep import small
+from small_sweep import SET, small
 
 import twin
 import twin.sense.reconstruct as solve
@@ -93,6 +93,30 @@ def test_the_cost_of_a_design_is_estimated_from_one_exposure(monkeypatch: pytest
 
 
 # --- the designs that sweeps found tell two pillars 2 mm apart, through contact, pictures and tracker
+
+
+def test_loads_of_a_probe_are_presses_by_any_law_and_with_friction() -> None:
+    ball = {"press.probe": {"kind": "sphere", "diameter_mm": 6.0}, "press.friction": 0.5}
+    loads = {"probe": True, "force_n": 1.5, "presses": 1, "shear": 0.2}
+    moved = {}
+    for law in ("linear", "neo_hookean"):
+        sweep, scene = small(set={**SET, **ball, "material.law": law}, fidelity=["full"], loads=loads)
+        pushes = Pushes.of(scene.body, sweep.loads, (2.0, 1.5), 1)
+        assert pushes.chosen(sweep.loads.pair_mm) == [0, 1]
+        sensor = Sensor(scene)
+        moved[law] = [one.displacement_mm for one in pushes.motions(sensor, BODIES, [0, 1])]
+        for load, found in enumerate(moved[law]):
+            own = twin.Press(
+                probe=twin.Sphere(diameter_mm=6.0), friction=0.5, at_mm=tuple(pushes.patches.centre_mm[load, :2]),
+                steps=[twin.Step(force_n=tuple(pushes.loads[load].sum(axis=0)))],
+            )  # fmt: skip
+            wanted = Sensor(scene).motion(Sensor(scene).press(own).load).displacement_mm
+            assert np.abs(found - wanted).max() < 1e-9 * np.abs(wanted).max()
+        if law == "linear":
+            state = sensor.press(pushes.press(1, scene.press))
+            off = sensor.validity(state, pushes.press(1, scene.press)).linearisation_error
+    differ = np.linalg.norm(moved["neo_hookean"][1] - moved["linear"][1], axis=1).max()
+    assert differ / np.linalg.norm(moved["linear"][1], axis=1).max() == pytest.approx(off, rel=0.15)
 
 
 def dip_of(name: str) -> float:

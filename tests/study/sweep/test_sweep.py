@@ -18,6 +18,7 @@ from small_sweep import TABLE, small
 
 import twin
 from benchmarks.sweep import ranked
+from twin.errors import RecipeError
 from twin.study.sweep import sweep_run
 from twin.study.sweep.sweep_report import write_report
 from twin.study.sweep.sweep_run import Store, Swept, run_sweep
@@ -265,3 +266,16 @@ def test_the_command_says_what_it_would_do(tmp_path: Path) -> None:
     )  # fmt: skip
     assert said.returncode == 0, said.stderr
     assert "designs     2 (grid)" in said.stdout
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"axes": {"material.law": ["linear", "yeoh"]}}, "set loads.probe = true and fidelity"),
+        ({"loads": {"probe": True, "shear": 0.0}}, "only the full chain presses a probe"),
+        ({"loads": {"probe": True}, "fidelity": ["full"]}, "the probe would slide, as press.friction = 0"),
+    ],
+)
+def test_loads_that_a_fidelity_does_not_have_are_refused_with_a_remedy(changes, words) -> None:
+    with pytest.raises(RecipeError, match=words):
+        sweep_run.estimate(*small(**changes))

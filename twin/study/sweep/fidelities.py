@@ -23,7 +23,7 @@ less force (`resolved_by_sites`). A coarse grid gives all designs the same two-p
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
@@ -48,7 +48,7 @@ from twin.sense.inverse import METHODS, Problem
 from twin.sense.regularisation import RULES, Factors
 from twin.study.calibrate import half_space_compliance, nominal_calibration
 from twin.study.doubts import View, shift_sd
-from twin.study.sensor import Motion, Sensor
+from twin.study.sensor import Sensor
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.loads import PAIRS, Bodies, Pushes
 from twin.theory.limit import Limit
@@ -636,7 +636,7 @@ def cost(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> dict[str
     chosen = pushes.chosen(sweep.loads.pair_mm)
     sensor = Sensor(_seeded(scene, 0))
     _calibration(sensor, bodies)
-    next(_motions(sensor, bodies, pushes, chosen))  # the bodies are prepared once for all designs
+    next(pushes.motions(sensor, bodies, chosen))  # the bodies are prepared once for all designs
     compiled, own, tries = 0.0, 0.0, 0
     # again where a process's own start may be much of it
     while tries == 0 or COMPILING.spent_s > compiled or (tries == 1 and own < SHORT_S):
@@ -704,7 +704,7 @@ def full(
         "picture": first.picture,
         "site_mm": grid.centre_mm,
         "middle_n": first.forces[0, :, :, 0],
-        "pair_n": first.forces[0, :, :, -1],
+        "pair_n": first.forces[0, :, :, 1 + pushes.presses :],
     }
 
 
@@ -739,7 +739,7 @@ def _seen(
     matched = []
     spread = [np.zeros((0, 2))]
     pictures: list[Picture] = []
-    for place, motion in enumerate(_motions(sensor, bodies, pushes, chosen)):
+    for place, motion in enumerate(pushes.motions(sensor, bodies, chosen)):
         light = sensor.renderer.radiance(sensor.ellipsoids(motion))
         true = sensor.project(points + motion.displacement_mm) - at_rest
         spent.lights.append(spent.lap())
@@ -792,22 +792,6 @@ def _exposed(sensor: Sensor, light: Singles, number: int) -> Picture:
 
     noise = Purpose.EXPOSURE.stream(sensor.nominal.seed, number)
     return expose(light, sensor.nominal.ccd, noise, sensor.pattern)
-
-
-def _motions(sensor: Sensor, bodies: Bodies, pushes: Pushes, chosen: list[int]) -> Iterator[Motion]:
-    """Yield how the chosen loads move the actual markers."""
-    actual = sensor.actual.scene
-    points = sensor.actual.markers.points
-    printed = any(layer.kind == "print" for layer in actual.markers.values())
-    compliance = bodies.moved(actual, "truth", points, pushes.patches)
-    for load in chosen:
-        moved = compliance @ pushes.loads[load].ravel()
-        gradient = np.zeros((len(points), 3, 3))
-        if printed:  # of a bead's turn no picture shows anything
-            unit = bodies.unit(actual, "truth", pushes.patches)
-            gradient = unit.gradient(points, pushes.rectangles(load))
-            gradient = gradient / actual.material.youngs_modulus_mpa
-        yield Motion(displacement_mm=moved.reshape(-1, 3), gradient=gradient, error=0.0)
 
 
 def _deviation_px(error: Floats) -> float:

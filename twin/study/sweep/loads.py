@@ -1,4 +1,4 @@
-"""What pushes on every design of a sweep, and the compliances: the same patches for all designs.
+"""What pushes on every design of a sweep, and the compliances: the same places for all designs.
 
 Only markers, camera, noise and inverse differ between most designs. So the compliance of a body is
 made once for Young's modulus 1 MPa (it only scales) by body, Poisson's ratio, role and patches, and
@@ -10,21 +10,24 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points
-from twin.errors import RecipeError
+from twin.errors import ContactError, RecipeError
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.part import Purpose
+from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 
 if TYPE_CHECKING:
+    from twin.study.sensor import Motion, Sensor
     from twin.world.elasticity.block_table import Table
     from twin.world.elasticity.compliance import Compliance
     from twin.world.mesh.sizing import Level
@@ -53,13 +56,16 @@ class Pushes:
     presses
         Number of presses; load 0 is the middle, 1 to ``presses`` follow, the rest are pairs.
     pair_mm
-        Distances of the pairs.
+        Distances of the pairs; none with a probe.
+    probe
+        Whether the scene's probe presses in place of the patches.
     """
 
     patches: Rectangles
     loads: Floats
     presses: int
     pair_mm: Floats
+    probe: bool
 
     def chosen(self, pair_mm: float) -> list[int]:
         """Return the loads that the full chain takes: the middle, the presses, and the pair nearest
@@ -82,6 +88,49 @@ class Pushes:
             force_n=force[used],
         )
 
+    def press(self, load: int, own: Press) -> Press:
+        """Return the press of a scene's probe by the force of a load, in place of its patch."""
+        place = int(np.argmax(np.any(self.loads[load] != 0, axis=1)))
+        return Press(
+            probe=own.probe,
+            friction=own.friction,
+            albedo=own.albedo,
+            at_mm=tuple(self.patches.centre_mm[place]),
+            direction=tuple(self.patches.frames[place, 2]),
+            force_n=tuple(self.loads[load, place]),
+        )
+
+    def motions(self, sensor: Sensor, bodies: Bodies, chosen: Sequence[int]) -> Iterator[Motion]:
+        """Yield how chosen loads move the actual markers.
+
+        Raises
+        ------
+        ContactError
+            A press has no equilibrium, or does not reach its force.
+        """
+        from twin.study.sensor import Motion
+
+        actual = sensor.actual.scene
+        points = sensor.actual.markers.points
+        if self.probe:
+            assert actual.press is not None
+            for load in chosen:
+                state = sensor.press(self.press(load, actual.press))
+                if not state.complete:
+                    raise ContactError(f"press {load} of the sweep's loads ends before its force")
+                yield sensor.motion(state.load)
+            return
+        printed = any(layer.kind == "print" for layer in actual.markers.values())
+        compliance = bodies.moved(actual, "truth", points, self.patches)
+        for load in chosen:
+            moved = compliance @ self.loads[load].ravel()
+            gradient = np.zeros((len(points), 3, 3))
+            if printed:  # of a bead's turn no picture shows anything
+                unit = bodies.unit(actual, "truth", self.patches)
+                gradient = unit.gradient(points, self.rectangles(load))
+                gradient = gradient / actual.material.youngs_modulus_mpa
+            yield Motion(displacement_mm=moved.reshape(-1, 3), gradient=gradient, error=0.0)
+
     @classmethod
     def of(cls, body: Body, loads: Sweep.Loads, half_mm: tuple[float, float], seed: int) -> Pushes:
         """Return the pushes of a sweep on a body: presses at quasi-random places of a region with
@@ -95,7 +144,7 @@ class Pushes:
         # Places: the middle, random presses by a scrambled Halton sequence, and pairs around the
         # middle.
         u = _halton(loads.presses, Purpose.SAMPLING.stream(seed, 1))
-        pair = np.array(PAIRS) * loads.pair_mm
+        pair = np.array(() if loads.probe else PAIRS) * loads.pair_mm
         ends = np.column_stack(
             [np.repeat(pair, 2) / 2 * np.tile([-1.0, 1.0], len(pair)), np.zeros(2 * len(pair))]
         )
@@ -131,7 +180,11 @@ class Pushes:
             first = 1 + loads.presses + 2 * number
             forces[1 + loads.presses + number, first : first + 2] = frames[first : first + 2, 2]
         return cls(
-            patches=patches, loads=loads.force_n * forces, presses=loads.presses, pair_mm=pair
+            patches=patches,
+            loads=loads.force_n * forces,
+            presses=loads.presses,
+            pair_mm=pair,
+            probe=loads.probe,
         )
 
 

@@ -65,7 +65,7 @@ def _assumed(part: Any, origin: str) -> Any:
 
 FIGURES = {
     "two_point_mm": ("two points (mm)", "least distance at which two pushes show as two peaks", 1),
-    "fwhm_mm": ("width (mm)", "of the field that a push in one point gives, at half its height", 1),
+    "fwhm_mm": ("width (mm)", "of the field of the push in the middle, at half its height", 1),
     "total_force_error": ("force error (%)", "of the total force, root mean square", 100),
     "resolution_gf": ("force noise (gf)", "standard deviation of the total force by noise", 1),
     "dip": (
@@ -483,7 +483,8 @@ def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> str:
             parts.append(
                 _field("Estimate of the push in the middle", kept["site_mm"], kept["middle_n"])
             )
-            parts.append(_field(two, kept["site_mm"], kept["pair_n"]))
+            if kept["pair_n"].size:
+                parts.append(_field(two, kept["site_mm"], kept["pair_n"][:, :, 0]))
         elif done.fidelity[number] == "linear":
             kept = done.expected(number)
             title = "Expected estimate of the push in the middle"

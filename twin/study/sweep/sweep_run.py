@@ -60,7 +60,7 @@ from twin.study.sweep.loads import REGION, Bodies, Pushes
 
 Row = dict[str, Any]
 
-FORMAT = 4
+FORMAT = 5
 """Version of the rows: a change of what they hold makes a sweep compute them again."""
 
 CHUNK = {"linear": 16, "full": 1}
@@ -483,16 +483,28 @@ def _check(sweep: Sweep, scene: Scene) -> None:
         )
     if not scene.markers:
         problems.append(f"{where}: it has no markers")
-    if scene.material.law != "linear" or "material.law" in sweep.axes:
+    loads, press = sweep.loads, scene.press
+    if loads.probe and sweep.ladder != ("full",):
         problems.append(
-            "material.law: a sweep's loads are given tractions, and at finite strain only presses "
-            "of probes are solved (docs/validity.md); leave it linear"
+            "loads.probe: only the full chain presses a probe, the closed form and linear "
+            "information know given tractions; set fidelity = ['full'], or probe = false"
+        )
+    if loads.probe and press is None:
+        problems.append(f"{where}: it has no [press] table, and loads.probe presses its probe")
+    slides = press is not None and 0.0 < loads.shear >= press.friction
+    if loads.probe and press is not None and slides and "press.friction" not in sweep.axes:
+        problems.append(
+            f"loads.shear = {loads.shear:g}: the probe would slide, as press.friction = "
+            f"{press.friction:g}; set it above that under [set], or loads.shear = 0"
+        )
+    if not loads.probe and (scene.material.law != "linear" or "material.law" in sweep.axes):
+        problems.append(
+            "material.law: loads of given tractions are solved by linear theory only; set "
+            "loads.probe = true and fidelity = ['full'], so that the scene's probe presses, or "
+            "leave the law linear"
         )
     if scene.material.relaxation:
-        problems.append(
-            "material.relaxation: a sweep's loads are given tractions that take no time; leave it "
-            "out"
-        )
+        problems.append("material.relaxation: a sweep's loads take no time; leave it out")
     if problems:
         raise RecipeError(problems)
     Bodies.refuse(scene)
@@ -850,7 +862,7 @@ def _overview(sweep: Sweep, scene: Scene) -> tuple[list[str], Ints, Designs]:
         lines.append(f"            {int((found == reason).sum())}: {reason}")
     target = sweep.targets.get("two_point_mm")
     swept = designs.swept("reconstruction.sites.pitch_mm")
-    if target is not None and scene.reconstruction is not None and not swept:
+    if target is not None and scene.reconstruction and not swept and not sweep.loads.probe:
         least = resolved_by_sites(scene.reconstruction.sites, sweep.loads)
         if least > target:
             lines.append(
