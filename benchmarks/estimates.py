@@ -7,14 +7,20 @@ squares, disks and twists at random against `benchmarks.truth`, where NGSolve is
 
 The shares in `twin.world.elasticity.error_law` were chosen with the given loads in view, and on the finger with 60
 other random ones; the random loads here set nothing.
+
+``python -m benchmarks estimates --friction`` measures spheres with friction at finite strain against a finer mesh, in a
+quarter of an hour.
 """
 
+import math
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +32,10 @@ from benchmarks.truth import COARSE, Quarter, Words, half_space
 from twin.arrays import Points
 from twin.errors import InputError
 from twin.parts.load import Rectangles, Traction
+from twin.parts.press import Press, Sphere, Step
+from twin.study.recipe import load_scene
+from twin.study.sensor import Sensor
+from twin.world.contact import body_strain
 from twin.world.elasticity import correction
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
@@ -175,8 +185,93 @@ def _row(body: str, loads: str, level: str, found: list[float]) -> Row:
     return {"body": body, "loads": loads, "level": level, **sizes, **shares}
 
 
-def measure() -> None:
-    """Print the table."""
+@dataclass(frozen=True, kw_only=True)
+class Rubbed:
+    """A sphere that is pressed on a bare body with a force, N, for E = 1 MPa, and then taken on."""
+
+    scene: str = "block_bare"
+    diameter_mm: float = 6.0
+    friction: float
+    push_n: float
+    then: dict[str, Any]
+
+
+RUBBED = (
+    Rubbed(friction=0.5, push_n=1.5, then={"force_n": {"x": 0.6}}),
+    Rubbed(friction=0.5, push_n=1.5, then={"move_mm": {"x": 0.6}}),
+    Rubbed(scene="finger_bare", diameter_mm=3.0, friction=0.5, push_n=0.5, then={"force_n": {"x": 0.2}}),
+    Rubbed(scene="finger_bare", diameter_mm=3.0, friction=math.inf, push_n=0.5, then={"force_n": {"x": 0.2}}),
+    Rubbed(friction=math.inf, push_n=1.5, then={"force_n": {"x": 1.5}}),
+    Rubbed(friction=math.inf, push_n=1.5, then={"turn_deg": {"z": 20.0}}),
+    Rubbed(scene="finger_bare", diameter_mm=3.0, friction=math.inf, push_n=0.1, then={"turn_deg": {"z": 20.0}}),
+)
+
+LAWS = "linear", "neo_hookean"
+FINER = body_strain._Fineness(0.47, 0.65, 0.3, (4, 2))
+"""The mesh that spheres with friction are compared with."""
+
+
+@contextmanager
+def _finer_strain() -> Iterator[None]:
+    usual = body_strain._FINE
+    body_strain._FINE = FINER
+    try:
+        yield
+    finally:
+        body_strain._FINE = usual
+
+
+def _rubbed(case: Rubbed) -> Iterator[Row]:
+    """Yield what a sphere with friction leaves out of either step, at places 1 to 3 mm deep; over the largest linear
+    displacement there."""
+    overrides = {"material.youngs_modulus_mpa": 1.0, "tolerance.preset": "none"}
+    sensors = {law: Sensor(load_scene(case.scene, {**overrides, "material.law": law})) for law in LAWS}
+    first, then = {"z": case.push_n}, dict(case.then)
+    then["force_n"] = first | then.get("force_n", {})
+    steps = (Step(force_n=first), Step(**then))
+    press_ = Press(probe=Sphere(diameter_mm=case.diameter_mm), friction=case.friction, steps=steps)
+    body = sensors["linear"].nominal.body
+    across = case.diameter_mm / 6.0 * np.array([0.0, 0.75, 1.5, 2.5, 4.0])
+    flat = np.array([(s * x, y) for s in (-1, 1) for x in across for y in across])
+    top = body.surface_from_above(flat)
+    inward = body.piece_normals(top)[:, 0]
+    places = np.concatenate([top + deep * inward for deep in (1.0, 1.5, 3.0)])
+    straight = sensors["linear"].press(press_).path
+    begun = time.process_time()
+    path = sensors["neo_hookean"].press(press_).path
+    solved = time.process_time() - begun
+    with _finer_strain():
+        truth = sensors["neo_hookean"].press(press_).path
+    for number, (linear, state, finer) in enumerate(zip(straight, path, truth, strict=True)):
+        size = np.linalg.norm(sensors["linear"].displacement(places, linear), axis=1).max()
+        more, true = (one.load.strained.displacement(places) for one in (state, finer))
+        off = float(np.linalg.norm(true, axis=1).max() / size)
+        left = float(np.linalg.norm(more - true, axis=1).max() / size)
+        begun = time.process_time()
+        stated = state.error.strain.markers
+        yield {
+            "scene": case.scene,
+            "diameter_mm": case.diameter_mm,
+            "friction": case.friction,
+            "path": f"pressed, {case.push_n:g} N" if number == 0 else f"then {case.then}",
+            "slipping": float(np.mean(linear.slip)),
+            "linear_off": off,
+            "left": left,
+            "stated": stated,
+            "ratio": stated / left,
+            "without_cube": stated - 14.0 * off**3,
+            "unknowns": [one.load.strained._pair.contact.rubber.mesh.unknowns for one in (state, finer)],
+            "seconds": solved if number == 0 else None,
+            "error_seconds": time.process_time() - begun,
+        }
+
+
+def measure(*, friction: bool = False) -> None:
+    """Print the table; with ``friction`` that of spheres with friction at finite strain."""
+    if friction:
+        for case in RUBBED:
+            print(table(list(_rubbed(case))), flush=True)
+        return
     rows = [
         _row("block", f"random, nu {nu:g}", "table, truth", of_table(nu))
         for nu in (NUS if find_spec("ngsolve") else ())

@@ -394,6 +394,30 @@ def test_sphere_that_sticks_and_is_sheared_is_another_codes():
         assert found == pytest.approx(wanted, abs=1.5e-2)
 
 
+@pytest.mark.slow
+def test_sphere_that_is_turned_and_slips_is_another_codes():
+    """The force along its way is given, and its turn; the torque stays that of linear theory, and that is stated."""
+    truth, places = truth_of("twisted_neohooke")
+    steps = [twin.Step(force_n=(None, None, 1.5), turn_deg=turn) for turn in np.diff([0.0, *truth["turns_deg"]])]
+    press = twin.Press(probe=Sphere(diameter_mm=truth["diameter_mm"]), friction=truth["friction"], steps=steps)
+    for law, name in (("linear", "linear"), ("neo_hookean", "strained")):
+        sensor = made(law)
+        path = sensor.press(press).path
+        for number, (state, step) in enumerate(zip(path, truth[name], strict=True)):
+            wanted = np.array(step["moved_mm"])
+            missed = sensor.displacement(places, state) - wanted
+            assert largest(missed) < 3e-3 * largest(wanted)
+            if number == 0:
+                continue
+            assert np.abs(missed[:, 1]).max() < 0.02 * np.abs(wanted[:, 1]).max()
+            assert state.slip.mean() == pytest.approx(truth["linear"][number]["slipping"], abs=0.05)
+            off = abs(step["torque_nmm"] / state.torque_nmm - 1.0)
+            if law == "linear":
+                assert off < 1e-2
+            else:
+                assert off < state.error.force < 1.3 * off
+
+
 def sheared(friction, *side, push=1.5, diameter=6.0, name="block_bare"):
     """Return the path of a sphere that is pressed, then pulled along x, by linear theory and with large strain."""
     steps = tuple(twin.Step(force_n=(x, 0.0, push)) for x in (0.0, *side))
