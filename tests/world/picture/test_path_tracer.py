@@ -182,6 +182,18 @@ def test_stock_mitsuba_sees_a_probe_behind_clear_rubber_as_we_do(tmp_path, z_mm)
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("z_mm", [-1.0, -3.0])
+def test_light_to_a_probe_behind_a_gap_passes_the_cover_beside_the_picture(tmp_path, z_mm):
+    markers, exposure = beads([(0, 0, np.nan)]), Renderer(small(), beads([(0, 0, 6)]), SPLAT).exposure
+    scene = small().model_copy(update={"cover": Cover(transmittance=0.4, albedo=(0.0, 0.0, 0.0))})
+    cover = CoverMotion(displacement_mm=np.zeros((0, 3)), gradient=np.zeros((0, 3, 3)), probes=(faced(z_mm, 1.0),))
+    renderer = Renderer(scene, beads([(0, 0, 6)]), SPLAT)
+    ours = renderer.radiance(markers, cover) * exposure / renderer.exposure
+    theirs = stock_picture(tmp_path, scene, markers, exposure, 4096, cover)
+    assert theirs.sum() == pytest.approx(ours.sum(), rel=0.03)
+
+
+@pytest.mark.slow
 def test_a_probe_shadows_a_cover_that_it_does_not_lift(tmp_path):
     """All that stock Mitsuba sees darker than we do is a cover that stays beside a probe that stands out of it."""
     markers, exposure = beads([(0, 0, np.nan)]), Renderer(small(), beads([(0, 0, 6)]), SPLAT).exposure

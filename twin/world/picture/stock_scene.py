@@ -31,7 +31,7 @@ from twin.parts.camera import Camera
 from twin.parts.load import Load
 from twin.parts.scene import Scene
 from twin.theory.lens import lens_inverse
-from twin.theory.optics import reflection
+from twin.theory.optics import project, reflection
 from twin.world.picture.cover import Background, CoverMotion, SeeThrough
 from twin.world.picture.ellipsoids import Ellipsoids
 
@@ -223,7 +223,9 @@ def _all_surfaces(
     for n, probe in enumerate(probes):
         found[f"probe{n}"] = _seen_through(scene, probe)
     if probes:
-        found["surface"] = _seen_through(scene, None)
+        found["surface"] = surface = _seen_through(scene, None)
+        if "cover" in found and found["cover"].opacity < 1:
+            found["cover_beside"] = _beside_picture(surface, found["cover"], scene)
     return {name: surface for name, surface in found.items() if len(surface.faces)}
 
 
@@ -239,6 +241,21 @@ def _seen_through(scene: Scene, probe: Load.Placed | None) -> Triangles:
         colours[touched] *= scene.cover.transmittance**2
         colours[touched] += scene.cover.albedo
     return Triangles(places=places, normals=normals, faces=faces, colours=colours)
+
+
+def _beside_picture(surface: Triangles, cover: Triangles, scene: Scene) -> Triangles:
+    """Return the cover at rest where the camera doesn't see it: light comes in to probes there."""
+    assert scene.cover is not None
+    camera = scene.imaging[0]
+    middles = project(surface.places[surface.faces].mean(axis=1), *scene.optics)
+    within = (middles > -0.5) & (middles < [camera.width_px - 0.5, camera.height_px - 0.5])
+    return replace(
+        cover,
+        places=surface.places + scene.cover.thickness_mm * surface.normals,
+        normals=surface.normals,
+        faces=surface.faces[~within.all(axis=1)],
+        colours=np.tile(cover.colours[:1], (len(surface.places), 1)),
+    )
 
 
 def _on_window(marks: Camera.Marks, scene: Scene) -> Triangles:
