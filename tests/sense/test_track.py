@@ -498,6 +498,22 @@ def test_a_lattice_that_goes_on_beyond_its_layout_is_followed_to_its_border(marg
     assert np.isin(found.states[~found.seen], ["ambiguous", "missing"]).all()
 
 
+@pytest.mark.parametrize("pitches", [(0.0, 0.0), (1.0, 1.0), (1.3, 0.2)])
+def test_an_ambiguous_layer_is_found_by_the_other(pitches):
+    """A layer without a border in sight, and one of another pitch with one."""
+    whole = {
+        "red": flat_layout(7, 5, 38.0, (70.0, 80.0))["red"],
+        "blue": flat_layout(18, 16, 30.0, (-75.0, -75.0))["red"],
+    }
+    blue, size = whole["blue"], (390, 330)
+    layout = {"red": whole["red"], "blue": blue[((blue > 90.0) & (blue < [300.0, 240.0])).all(axis=1)]}
+    shift = 30.0 * np.array(pitches)
+    moves = [moved_inside(np.tile(s, (len(joined(whole)), 1)), whole, size) for s in (np.zeros(2), shift)]
+    found = track(*(picture(m, 1 + k, whole, size) for k, m in enumerate(moves)), layout)
+    assert found.seen.all()
+    assert np.abs(found.shift_px - shift).max() < 0.2
+
+
 def test_a_film_of_a_lattice_that_fills_the_picture_is_followed_from_rest():
     whole, size = flat_layout(16, 14, 30.0, (-45.0, -45.0)), (390, 330)
     layout = {name: p[((p > 100.0) & (p < [290.0, 230.0])).all(axis=1)] for name, p in whole.items()}

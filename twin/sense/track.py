@@ -409,6 +409,11 @@ def track_frame(
             None if spurious is None or seen.spurious_px is None else [*spurious, seen.spurious_px]
         )
     lost = np.isnan(shift[:, 0])
+    # From a cold start a layer that is ambiguous has moved as the markers of one that is not.
+    other = state != AMBIGUOUS
+    if start_px is None and not other.all() and 2 * (~lost).sum() > other.sum():
+        _, near = cKDTree(rest.rest_px[~lost]).query(np.nan_to_num(rest.rest_px))
+        return track_frame(rest, image, shift[~lost][near])
     sd[lost] = np.nan
     state[~lost & (state != STRAINED) & (state != PARTLY_HIDDEN)] = SEEN
     for array in (shift, sd, state, usual):
