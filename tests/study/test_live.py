@@ -174,7 +174,7 @@ def test_a_press_at_rest_states_the_measured_cost_of_linear_theory(page: Any, li
     validity = live.environment.sensor.validity(live.environment.sensor.press())
     assert f"is {100 * validity.linearisation_error:.2g} % of the largest" in table["contact"]["warnings"][0]
     assert validity.linearisation_basis == "measured"
-    assert table["contact"]["warnings"][-1] == "what linear theory costs is measured"
+    assert "estimated" not in " ".join(table["contact"]["warnings"])
 
 
 def test_a_port_that_can_t_be_had_is_said_before_any_work(page: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,6 +37,7 @@ from twin.files import plain
 from twin.parts.press import Press, Step
 from twin.parts.scene import Scene
 from twin.study.environment import Environment, Observation
+from twin.world.contact.contact_state import MEASURED
 
 QUICK = {
     "accuracy.contact_patches": 8,
@@ -291,8 +292,9 @@ class LivePress:
             weights = state.pressure_mpa
             middle = np.average(centres, axis=0, weights=np.maximum(weights, 0) + 1e-12)
             validity = state.validity if measured is None else sensor.validity(state, measured)
-            basis = f"what linear theory costs is {validity.linearisation_basis}"
-            told = (basis,) if measured is not None and validity.notes else ()
+            basis = validity.linearisation_basis
+            asked = measured is not None and validity.notes and basis != MEASURED
+            told = (f"what linear theory costs is {basis}",) if asked else ()
             contact = {
                 "place": sensor.actual.scene.body.chart_of(middle[None])[0],
                 "radius_mm": state.contact_radius_mm,
