@@ -121,6 +121,25 @@ def test_a_swinging_face_loses_what_the_loss_modulus_tells():
     assert lost == pytest.approx(wanted, rel=0.03)
 
 
+def test_a_slide_does_not_depend_on_its_steps():
+    """Relaxing rubber creeps under a probe that slides; a steady motion in few or in many steps has
+    the same end, where friction is mu times the force that is left."""
+
+    soft = Relaxation(np.array([0.25, 0.15]), np.array([0.3, 4.0]))
+
+    def slid(count):
+        way = [Step(move_mm={"x": 0.3 / count}, seconds=1.5 / count) for _ in range(count)]
+        press = ball(6, steps=(moved(0.2, 1.5), *way), friction=0.6)
+        return pressed(press, across=8, relaxation=soft)
+
+    few, many = slid(3), slid(15)
+    assert few.complete
+    assert many.complete
+    assert many.slip.all()
+    assert many.force_n[0] == pytest.approx(0.6 * many.force_n[2], rel=1e-3)
+    assert few.force_n == pytest.approx(many.force_n, abs=3e-4 * many.force_n[2])
+
+
 def test_a_dent_recovers_and_is_felt_by_the_next_touch():
     steps = (push(0.2, seconds=3.0), push(0.0), Step(seconds=0.5), push(0.2))
     press = ball(40, steps=steps, friction=0.5)

@@ -752,14 +752,16 @@ class FrictionalContact:
             ),
         )
 
-    def slid(self, start: Floats, problem: UnilateralProblem, found: Equilibrium) -> Floats:
+    def slid(self, start: Floats, history: ContactHistory, found: Equilibrium) -> Floats:
         """Return (p, 2) mm how far each probe slid as a whole so far, along its x and y: where all
         its patches slip, as far as it came ahead of those that it carries along furthest, else as
         far as at the ``start`` (p, 2).
 
         The mean over those in the first tenth of all distances, as the least one alone may jump
-        between patches that mirror each other. A patch stays where it is in the body, so that slips
-        of patches, which come and go under a probe, don't add up to its slide.
+        between patches that mirror each other; their weights fall to zero at that tenth, as a patch
+        that counts in full or not at all keeps a slide from settling. A patch stays where it is in
+        the body, so that slips of patches, which come and go under a probe, don't add up to its
+        slide.
         """
         whole = start.copy()
         for number, (setup, rows, _) in enumerate(self.contacts.rows):
@@ -767,15 +769,16 @@ class FrictionalContact:
             if len(active) == 0 or not found.slipping[active].all():
                 continue
             behind = (
-                found.displacement_mm[active, :2]
-                - problem.contact_jacobian[active, :2] @ found.pose
+                found.displacement_mm[active, :2] - self.contact_jacobian[active, :2] @ found.pose
             )
+            if history.moved_mm is not None:
+                behind += history.moved_mm[active, :2]
             length = np.hypot(behind[:, 0], behind[:, 1])
-            least = length <= length.min() + 0.1 * np.ptp(length)
-            frames = self.patches.frames[active[least], :2]
-            whole[number] = -setup.first.axes[:Z] @ np.einsum(
-                "ka,kai->ki", behind[least], frames
-            ).mean(axis=0)
+            further = (length - length.min()) / max(0.1 * float(np.ptp(length)), 1e-300)
+            weights = np.maximum(1.0 - further, 0.0)
+            frames = self.patches.frames[active, :2]
+            mean = np.einsum("k,ka,kai->i", weights / weights.sum(), behind, frames)
+            whole[number] = -setup.first.axes[:Z] @ mean
         return whole
 
     def lost_nmm(

@@ -359,7 +359,7 @@ def _elastic_part(
     before = np.zeros_like(start)
     half_mm = float(here.patches.half_mm.max() if faces else here.patches.half_mm.min())
     for turn in range(_SLIDE_ROUNDS):
-        slid = grid.slid(start, problem, found)
+        slid = here.slid(start, history, found)
         off = slid - history.slid_mm
         late = 2 * turn >= _SLIDE_ROUNDS
         known = _SLID_AT_LAST if late else _SLID
