@@ -10,7 +10,7 @@ from drawn import LAYOUT, SIZE, flat_layout, joined, picture
 from benchmarks.conditions import Card, film, hidden, jpeg, mosaic, stretches
 from benchmarks.discs import bound_px, cover, expose, scene
 from twin import Sensor, load_scene
-from twin.errors import InputError
+from twin.errors import AccuracyWarning, InputError
 from twin.sense.track import Tracker, analyse_rest, track, track_frame
 
 WIDTHS = [8.0, 10.0, pytest.param(15.0, marks=pytest.mark.slow)]
@@ -477,13 +477,12 @@ def test_a_lattice_without_border_is_ambiguous_after_half_a_step():
     assert (half.states == "ambiguous").mean() > 0.8
 
 
-@pytest.mark.parametrize(("margin", "least"), [(60.0, 0.99), (-45.0, 0.0)])
 @pytest.mark.parametrize("pitches", [(1.0, 0.0), (-1.0, 1.0), (2.0, 0.0), (2.0, 1.0)])
 @pytest.mark.parametrize("holes", [0, 3])
-def test_a_lattice_that_goes_on_beyond_its_layout_is_followed_to_its_border(margin, least, pitches, holes):
+def test_a_lattice_that_goes_on_beyond_its_layout_is_followed_to_its_border(pitches, holes):
     """Each marker was taken for its neighbour: a spot showed for every marker, and one marker for every spot."""
     size = (390, 330)
-    whole = flat_layout(16 if margin < 0 else 10, 14 if margin < 0 else 8, 30.0, (margin, margin))
+    whole = flat_layout(10, 8, 30.0, (60.0, 60.0))
     rows = joined(whole)
     inside = ((rows > 100.0) & (rows < [290.0, 230.0])).all(axis=1)
     red = np.arange(len(rows)) < len(whole["red"])
@@ -494,7 +493,7 @@ def test_a_lattice_that_goes_on_beyond_its_layout_is_followed_to_its_border(marg
     seen[1][hidden] = np.nan
     found = track(*(picture(s, 1 + k, whole, size) for k, s in enumerate(seen)), layout)
     assert np.nanmax(np.abs(found.shift_px - 30.0 * np.array(pitches)), initial=0.0) < 0.2
-    assert holes or abs(pitches[0]) > 1.0 or found.seen.mean() >= least
+    assert holes or abs(pitches[0]) > 1.0 or found.seen.mean() >= 0.99
     assert np.isin(found.states[~found.seen], ["ambiguous", "missing"]).all()
 
 
@@ -514,13 +513,16 @@ def test_an_ambiguous_layer_is_found_by_the_other(pitches):
     assert np.abs(found.shift_px - shift).max() < 0.2
 
 
-def test_a_film_of_a_lattice_that_fills_the_picture_is_followed_from_rest():
+def test_a_lattice_that_fills_the_picture_is_followed_from_rest_and_warned_of():
+    """A jump by a pitch looks like none there; a layout without the cut markers must not lose all of them."""
     whole, size = flat_layout(16, 14, 30.0, (-45.0, -45.0)), (390, 330)
     layout = {name: p[((p > 100.0) & (p < [290.0, 230.0])).all(axis=1)] for name, p in whole.items()}
     moves = [moved_inside(np.full((len(joined(whole)), 2), m), whole, size) for m in np.arange(0.0, 46.0, 5.0)]
     rest, *later = (picture(m, 1 + k, whole, size) for k, m in enumerate(moves))
-    tracker = Tracker(rest, layout)
-    assert not track(rest, later[0], layout).seen.any()
+    with pytest.warns(AccuracyWarning, match="goes on to the borders"):
+        assert np.abs(track(rest, later[0], layout).shift_px - 5.0).max() < 0.2
+    with pytest.warns(AccuracyWarning, match="goes on to the borders"):
+        tracker = Tracker(rest, layout)
     for number, frame in enumerate(later):
         assert np.abs(tracker.track(frame).shift_px - 5.0 * (number + 1)).max() < 0.2
 
@@ -542,10 +544,11 @@ def test_states_say_what_is_wrong():
     lost = track(rest, picture(shift, 3), LAYOUT)
     assert lost.states[30] == "missing"
     close = np.zeros_like(shift)
-    close[40] = LAYOUT["red"][41] - LAYOUT["red"][40] - [0.0, 8.0]
+    close[40] = LAYOUT["red"][41] - LAYOUT["red"][40] - [0.0, 10.0]
     merged = track(rest, picture(close, 4), LAYOUT)
-    assert not merged.seen[[40, 41]].any()
     assert "merged" in merged.states[[40, 41]]
+    # The other layer has not moved, so the two are lost, and no more of their layer.
+    assert np.flatnonzero(~merged.seen).tolist() == [40, 41]
 
 
 @pytest.mark.parametrize("share", [0.1, 0.2, 0.35])

@@ -7,6 +7,7 @@ rows; one that can't be measured is NaN, with a state that names the reason.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +20,7 @@ from scipy.spatial import cKDTree
 from twin.arrays import Bools, Floats, Picture, Pixels, frozen
 from twin.blas_threads import one_blas_thread
 from twin.display import Table, new_axes, one_line, plot_shifts
-from twin.errors import InputError
+from twin.errors import AccuracyWarning, InputError
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import AMBIGUOUS, MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
 from twin.sense.colour import Flaws, Weights, as_picture
@@ -35,6 +36,12 @@ FILM = 3.0
 picture before by motion vectors in steps of a quarter of a pixel, and drops small corrections. That
 moves a marker as a whole, in steps that no single picture shows. Measured: 1.1 to 4 (H.264 and
 MPEG-4, .8 to 8 bits a pixel)."""
+
+_ENDLESS = (
+    "the markers' lattice goes on to the borders of the rest picture, where a motion of all of it "
+    "by whole pitches looks like none: a first picture is taken to be within 0.6 pitches of rest. "
+    "If markers stop within the picture, draw all of them in the layout"
+)
 
 REPEATING = 4.0
 """The same of a film that repeats blocks of the picture before. Measured in grey ones: 1.7 to 5."""
@@ -212,7 +219,6 @@ def track(
         channels=channels,
         method=method,
     )
-    tracker.forget()
     return tracker.track(image)
 
 
@@ -237,6 +243,11 @@ class Tracker:
     InputError
         Pictures, layout or options that can't be used; a later picture of another size than the
         rest picture's.
+
+    Warns
+    -----
+    AccuracyWarning
+        The markers' lattice goes on beyond the layout, and no border of it is in sight.
 
     Examples
     --------
@@ -282,8 +293,12 @@ class Tracker:
             for one in images
         ]
         self._frame = -1
-        endless = any(group.endless for group in self.rest.groups)
-        self._last_px: Pixels | None = np.zeros_like(self.rest.rest_px) if endless else None
+        # Without a border in sight, motion by the lattice's own steps can't be told from none.
+        self._first_px: Pixels | None = None
+        if all(group.endless for group in self.rest.groups):
+            warnings.warn(_ENDLESS, AccuracyWarning, stacklevel=3)
+            self._first_px = np.zeros_like(self.rest.rest_px)
+        self._last_px = self._first_px
         self._seen = np.zeros(len(self.rest.rest_px), np.bool_)
         self._before = [as_picture(one, "the rest picture").copy() for one in images]
         rough = min(group.roughness_px for group in self.rest.groups) > ROUGH_PX
@@ -356,8 +371,9 @@ class Tracker:
         return last
 
     def forget(self) -> None:
-        """Search the whole next picture, as after a cut in the sequence."""
-        self._last_px = None
+        """Search the whole next picture, as after a cut in the sequence; markers of a lattice
+        without a border in sight start from rest."""
+        self._last_px = self._first_px
 
 
 def track_frame(
