@@ -185,8 +185,9 @@ def test_a_child_that_dies_is_reported_in_words(stand_in, request_of_block, monk
 
 
 PARENT = """
-import sys
+import signal, sys
 import numpy as np
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
 from twin.world.mesh.tetrahedralise import Request
 sys.executable, request = sys.argv[1:]
 Request(**np.load(request)).solve(limit_s=60.0)
