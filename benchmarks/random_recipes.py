@@ -187,9 +187,10 @@ def sights(draw: Callable[[Strategy], Any], body: Table) -> Table:
     front = base + sum(layer["thickness_mm"] for layer in camera.get("layers", ()))
     aside = st.floats(-2.0, 2.0)
     camera["pupil_mm"] = [draw(aside), draw(aside), front + draw(st.floats(0.0, 60.0))]
-    light = draw(part(Light, without=("positions_mm",)))
+    light = draw(part(Light, without=("positions_mm", "lit")))
     spot = st.tuples(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0), st.floats(front, front + 60.0))
     light["positions_mm"] = draw(st.lists(spot, min_size=1, max_size=4))
+    light["lit"] = draw(st.sampled_from([[], [list(range(len(light["positions_mm"])))]]))
     for marks in (camera.get(kind, {}) for kind in ("dust", "scratches", "bubbles")):
         if marks.get("length_mm"):
             marks.pop("depth_mm", None)  # scratches lie on the window
