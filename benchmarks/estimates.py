@@ -259,7 +259,7 @@ def _rubbed(case: Rubbed) -> Iterator[Row]:
             "left": left,
             "stated": stated,
             "ratio": stated / left,
-            "without_cube": stated - 14.0 * off**3,
+            "without_cube": stated - body_strain._RUBS_OVER_CUBE * off**3,
             "unknowns": [one.load.strained._pair.contact.rubber.mesh.unknowns for one in (state, finer)],
             "seconds": solved if number == 0 else None,
             "error_seconds": time.process_time() - begun,

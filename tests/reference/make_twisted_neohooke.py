@@ -18,7 +18,8 @@ from pathlib import Path
 
 import ngsolve as ng
 import numpy as np
-from netgen.occ import Glue, MoveTo, OCCGeometry
+from make_neohooke import meshed
+from netgen.occ import MoveTo
 
 BALL, RADIUS, THICK, REACH = 3.0, 47.5, 40.0, 1.7
 SHEAR, PENALTY, SPRING = 1.0 / 3.0, 4000.0, 1000.0
@@ -39,16 +40,7 @@ def slab(fine):
     whole = box(RADIUS, THICK, 6.0)
     near = box(3.0 * REACH, 3.0 * REACH, 0.4 * REACH * fine)
     inner = box(1.1 * REACH, 0.35 * REACH, 0.05 * REACH * fine)
-    glued = Glue([whole - near, near - inner, inner])
-    for edge in glued.edges:
-        low, high = edge.bounding_box
-        if max(abs(low.y), abs(high.y)) < 1e-3:
-            edge.name = "touched"
-        elif max(abs(low.x), abs(high.x)) < 1e-3:
-            edge.name = "axis"
-        elif abs(low.y - THICK) < 1e-3 and abs(high.y - THICK) < 1e-3:
-            edge.name = "held"
-    return ng.Mesh(OCCGeometry(glued, dim=2).GenerateMesh(maxh=6.0, grading=0.4))
+    return meshed([whole - near, near - inner, inner], THICK)
 
 
 class Sphere:
