@@ -129,7 +129,7 @@ class SoftWindow(CentreEstimator):
         blobs = Blobs.found_in(signal, look.diameter_px, look.contrast_dn, look.floor_dn)
         # From a cold start the whole lattice is followed, also where it goes on beyond the layout.
         spare, beyond = self._spare
-        here = self._with(beyond) if start_px is None and len(beyond) else self
+        here = self._whole_lattice if start_px is None and len(beyond) else self
         with np.errstate(invalid="ignore", divide="ignore"):
             area = blobs.area_px[None] / here.area_px[:, None]
             level = blobs.level_dn[None] / here.level_dn[:, None]
@@ -169,14 +169,16 @@ class SoftWindow(CentreEstimator):
         _, beyond = self._spare
         if not len(beyond):
             return False
-        around = self._with(beyond).around
+        around = self._whole_lattice.around
         spots = around.rest_px[np.isfinite(around.rest_px[:, 0])]
         alike = np.ones((len(around.rest_px), len(spots)), np.bool_)
         return around.follow(spots, alike, None, self.look.picture_px, part=True)[1]
 
-    def _with(self, beyond: Ints) -> SoftWindow:
-        """Return the markers and, after them, those spots at rest."""
+    @cached_property
+    def _whole_lattice(self) -> SoftWindow:
+        """The markers and, after them, the spots at rest that go on with their lattice."""
         blobs = self.look.blobs
+        _, beyond = self._spare
         rest_px = np.concatenate([self.around.rest_px, blobs.centre_px[beyond]])
         return SoftWindow(
             **{f.name: getattr(self, f.name) for f in fields(SoftWindow)}

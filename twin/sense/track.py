@@ -37,12 +37,6 @@ picture before by motion vectors in steps of a quarter of a pixel, and drops sma
 moves a marker as a whole, in steps that no single picture shows. Measured: 1.1 to 4 (H.264 and
 MPEG-4, .8 to 8 bits a pixel)."""
 
-_ENDLESS = (
-    "the markers' lattice goes on to the borders of the rest picture, where a motion of all of it "
-    "by whole pitches looks like none: a first picture is taken to be within 0.6 pitches of rest. "
-    "If markers stop within the picture, draw all of them in the layout"
-)
-
 REPEATING = 4.0
 """The same of a film that repeats blocks of the picture before. Measured in grey ones: 1.7 to 5."""
 
@@ -52,6 +46,12 @@ are those of a camera without noise, which repeats its ground, too (.0004 to .00
 
 COMPARED = 50
 """So many of a sequence's first pictures are compared with the one before, to find a codec."""
+
+_ENDLESS = (
+    "the markers' lattice goes on to the borders of the rest picture, where a motion of all of it "
+    "by whole pitches looks like none: a first picture is taken to be within 0.6 pitches of rest. "
+    "If markers stop within the picture, draw all of them in the layout"
+)
 
 STEPPED, DIAGONAL = 0.8, 1.6
 """Share of the markers lost since the last picture that a step of the lattice, shorter than so many
@@ -247,7 +247,7 @@ class Tracker:
     Warns
     -----
     AccuracyWarning
-        The markers' lattice goes on beyond the layout, and no border of it is in sight.
+        The lattice of every layer goes on beyond the layout, and no border of any is in sight.
 
     Examples
     --------

@@ -405,7 +405,7 @@ def _relaxed(
     assert scene.reconstruction is not None
     assert calibration.relaxation is not None
     rate = scene.reconstruction.frames_per_second
-    rests = [rest, *sensor.rest_pictures[1:]]
+    rests = [rest, *(sensor.rest_picture(n) for n in range(1, len(sensor.renderers)))]
     tracker = Tracker(rests, sensor.layout_px, method=scene.tracking.method)
     history = Hereditary(calibration.relaxation)
     before_s = 0.0

@@ -666,12 +666,15 @@ class Sensor:
         light = self.renderer_of(frame).radiance(self.ellipsoids(motion), cover)
         return self.exposed(light, number)
 
+    def rest_picture(self, group: int) -> Picture:
+        """Return the rest picture in the light of a group of LEDs, with noise of its own; that of
+        group 0 is ``picture(None)``."""
+        return self.picture(None, _REST * (group > 0) + group, group)
+
     @property
     def rest_pictures(self) -> list[Picture]:
-        """The rest picture of each group of LEDs, each with noise of its own; the first is
-        ``picture(None)``."""
-        numbers = range(len(self.renderers))
-        return [self.picture(None, _REST * (number > 0) + number, number) for number in numbers]
+        """The rest picture of each group of LEDs."""
+        return [self.rest_picture(group) for group in range(len(self.renderers))]
 
     def seen(
         self, motion: Motion | None, exposure: int, frame: int = 0

@@ -95,10 +95,8 @@ def _hdf5(reader: DatasetReader, out: Path, progress: Progress | None) -> list[P
                         sets[name] = _room(file, name, value, count)
                     _put(sets[name], number, value)
             rests = [reader.sensor(n) for n in reader.sensor_numbers]
-            for name in [
-                name for name in (rests[0] if rests else {}) if name.startswith("picture")
-            ]:
-                if rests[0][name] is not None:
+            for name, first in rests[0].items() if rests else ():
+                if name.startswith("picture") and first is not None:
                     rest = name.replace("picture", "tactile/rest")
                     file[rest] = np.stack([row[name] for row in rests])
         os.replace(part, path)

@@ -216,8 +216,8 @@ class Plan:
             )
         for key in scene.vary:
             table = key.split(".")[0]
-            fixed = key if key == "light.lit" else table
-            if fixed in _FIXED:
+            fixed = next((name for name in _FIXED if f"{key}.".startswith(f"{name}.")), None)
+            if fixed is not None:
                 problems.append(
                     f"vary.{key}: {fixed} can't vary inside a dataset; make several datasets"
                 )
