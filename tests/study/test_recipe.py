@@ -92,7 +92,9 @@ def test_one_scene_is_ten_lines_long() -> None:
         ("press.probe.kind", "ball", ["press.probe.kind", "'ball'", "'sphere'"]),
         ("press.force_n", {"z": -1}, ["press", "push is +z"]),
         ("press.force_n", {"z": "much"}, ["press.force_n.z = 'much' N: must be a number"]),
-        ("press.move_mm", {"z": 1}, ["press.move_mm", "belongs to a step"]),
+        ("press.move_mm", {"z": 1}, ["press.move_mm", "belongs to a step", "{move_mm = {z = 1}}]"]),
+        ("press.seconds", 1, ["press.seconds", "belongs to a step", "{seconds = 1}]"]),
+        ("picture.noise", 1, ["picture: unknown key"]),
         ("body.shape", "cube", ["body.shape", "'cube'", "'block'"]),
         ("camera.fov_deg", 39, ["give focal_px", "--fov-deg"]),
         ("ccd.preset", "idael", ["ccd.preset", "'ideal'"]),
@@ -123,6 +125,18 @@ def test_a_wrong_override_is_not_blamed_on_the_file(tmp_path: Path) -> None:
         load_scene(mine, {"material.poisson_ratio": 0.3})
     with pytest.raises(RecipeError, match=r"mine\.toml and its overrides: material\.poisson_ratio = 2\b"):
         load_scene(mine, {"material.poisson_ratio": 2})
+
+
+def test_the_renderer_is_found_under_picture_too(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('base = "kamiyama_pillar"\n[picture]\nrenderer = "path"\n')
+    assert load_scene(mine).renderer == "path"
+    assert load_scene(mine, {"picture.renderer": "splat"}).renderer == "splat"
+    with pytest.raises(RecipeError, match=r"renderer = 'raster': must be 'auto'"):
+        load_scene(mine, {"picture.renderer": "raster"})
+    mine.write_text('base = "kamiyama_pillar"\nrenderer = "path"\npicture = {renderer = "splat"}\n')
+    with pytest.raises(RecipeError, match=r"picture: unknown key"):
+        load_scene(mine)
 
 
 def test_overrides_win_and_lose_the_old_provenance() -> None:

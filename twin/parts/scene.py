@@ -94,7 +94,8 @@ class Scene(Part):
         What makes the picture: ``mitsuba`` (its ray tracing, light by our own sum over the LEDs),
         ``splat`` (closed form, without Mitsuba), ``path`` (Mitsuba's path integrator, with light
         between markers, cover and window: seconds a picture, and noise), or ``auto``: Mitsuba where
-        it works, the splat where ``accuracy.centroid_px`` is a number.
+        it works, the splat where ``accuracy.centroid_px`` is a number. A recipe may write it as
+        ``picture.renderer``.
     press
         Without one the sensor is only at rest.
     reconstruction

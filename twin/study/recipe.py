@@ -79,12 +79,16 @@ def read_recipe(path: Path) -> Table:
         raise RecipeError(f"{len(data)} bytes: a recipe is at most 1 MB", str(path))
     try:
         # editors on Windows write a byte order mark
-        return _by_key(tomllib.loads(data.decode("utf-8-sig")))
+        table = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as problem:
         text = f"byte {problem.start + 1} is no text in UTF-8; save the file in this encoding"
         raise RecipeError(f"not valid TOML: {text}", str(path)) from None
     except (ValueError, RecursionError) as problem:  # a number of 4,300 digits: a ValueError
         raise RecipeError(f"not valid TOML: {problem}", str(path)) from None
+    picture = table.get("picture")
+    if isinstance(picture, dict) and picture.keys() == {"renderer"} and "renderer" not in table:
+        table = {k: v for k, v in table.items() if k != "picture"} | picture
+    return _by_key(table)
 
 
 def _by_key(table: Table) -> Table:
@@ -140,7 +144,7 @@ def _override(table: Table, dotted: str, value: Any) -> None:
     """Put a value at a dotted key of ``table``, and note there that it is assumed; `RecipeError`
     where a part of the key names a value, not a table.
     """
-    *parents, last = dotted.split(".")
+    *parents, last = ["renderer"] if dotted == "picture.renderer" else dotted.split(".")
     if parents and parents[-1] in BY_AXIS:  # press.force_n.z: the vector is one value of its table
         *parents, vector = parents
         here = _table_at(table, parents, dotted)
@@ -431,9 +435,10 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
         known = _known_keys(keys[:-1], table)
         hint = did_you_mean(last, known, f"known are {', '.join(known)}", 0.5)
         if "steps" in known and last in Step.model_fields:
+            given = "{z = 1}" if last in BY_AXIS else "1"
             hint = (
                 f"it belongs to a step of the path: steps = [{{force_n = {{z = 1}}}}, {{{last} = "
-                "{z = 1}}]"
+                f"{given}}}]"
             )
         if dotted == "camera.fov_deg":
             hint = "give focal_px; twin scenes --new --fov-deg computes it from a field of view"
