@@ -1,4 +1,4 @@
-"""The command line: the commands put together, and exit codes out; every decision lives elsewhere.
+"""The command line: the commands put together, what they yield printed, and exit codes out.
 
 A command is a function of `twin.commands`.
 """
@@ -10,21 +10,24 @@ import errno
 import importlib.metadata
 import inspect
 import io
+import json
 import os
 import signal
 import sys
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import wraps
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnusedCliTokensError
 
 from twin import commands
 from twin.blas_threads import THREADS, set_environment
 from twin.errors import InputError, TwinError
+from twin.files import plain
 
 app = App(
     name="twin",
@@ -39,7 +42,79 @@ app = App(
 )
 
 
-def _help_of(command: Callable[..., None]) -> dict[str, str]:
+def _printing(command: Callable[..., Iterator[Any]]) -> Callable[..., None]:
+    """Return a command that prints the lines that it yields as they come; with ``--json``, lines,
+    records, what went to standard error, and what went wrong, as one object at the end."""
+
+    @wraps(command)
+    def printing(*arguments: Any, json_: bool = False, **options: Any) -> None:
+        with contextlib.closing(command(*arguments, **options)) as output:  # type: ignore[type-var]
+            if json_:
+                _print_json(command.__name__, output)
+                return
+            for piece in output:
+                if line := piece if isinstance(piece, str) else piece[0]:
+                    print(line)
+
+    keyword = inspect.Parameter(
+        "json_", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_Json
+    )
+    given = inspect.signature(command).parameters.values()
+    printing.__signature__ = inspect.Signature([*given, keyword])  # type: ignore[attr-defined]
+    printing.__annotations__ = {**command.__annotations__, "json_": _Json, "return": None}
+    return printing
+
+
+_Json = Annotated[
+    bool,
+    Parameter(
+        name="--json",
+        help="Print one JSON object instead: command, ok, lines, rows (the records), notes, "
+        "problems.",
+    ),
+]
+
+
+class _Notes(io.StringIO):
+    """Keeps what is written to standard error, which shows it too."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._shown = sys.stderr
+
+    def write(self, text: str) -> int:
+        self._shown.write(text)
+        return super().write(text)
+
+
+def _print_json(name: str, output: Iterator[Any]) -> None:
+    """Print what a command yields as one JSON object."""
+    notes = _Notes()
+    lines: list[str] = []
+    rows: list[Any] = []
+    failure: TwinError | None = None
+    try:
+        with contextlib.redirect_stdout(notes), contextlib.redirect_stderr(notes):
+            for piece in output:
+                line, *records = [piece] if isinstance(piece, str) else piece
+                lines += line.splitlines()
+                rows += records
+    except TwinError as problem:
+        failure = problem
+    printed = {
+        "command": name,
+        "ok": failure is None,
+        "lines": lines,
+        "rows": plain(rows),
+        "notes": notes.getvalue().splitlines(),
+        "problems": str(failure).splitlines() if failure else [],
+    }
+    print(json.dumps(printed, indent=1, ensure_ascii=False))
+    if failure:
+        raise failure
+
+
+def _help_of(command: Callable[..., Iterator[Any]]) -> dict[str, str]:
     """Return a command's help from its docstring: paragraphs that a terminal can wrap, and
     examples, a line each."""
     text, _, examples = (inspect.getdoc(command) or "").partition("\n\nExamples:\n")
@@ -65,7 +140,7 @@ for _command in (
     commands.check,
     commands.doctor,
 ):
-    app.command(_command, **_help_of(_command))
+    app.command(_printing(_command), **_help_of(_command))
 
 
 FULL = {errno.ENOSPC, errno.EFBIG, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}

@@ -1,39 +1,30 @@
 """The commands of `twin`, a function each: arguments in, one call into `twin.study` or `twin.show`,
-lines out.
+lines and records out.
 
-Every decision lives elsewhere. Heavy packages are imported inside the functions, so that ``twin
---help`` prints at once. First come the options that commands share and what all of them use, then
-the commands: a run, its explanation, meshes, scenes, checks, views, real sensors, and many presses.
+A command yields what it has to say as it comes: a line, or a line (which may be empty) with the
+record that it shows. `twin.cli` prints the lines, or both as JSON. Every decision lives elsewhere.
+Heavy packages are imported inside the functions, so that ``twin --help`` prints at once. First come
+the options that commands share and what all of them use, then the commands: a run, its explanation,
+meshes, scenes, checks, views, real sensors, and many presses.
 """
 
 from __future__ import annotations
 
 import gc
 import hashlib
-import inspect
-import io
 import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
 from cyclopts import Parameter, Token
 
-from twin.errors import (
-    InputError,
-    MissingCapability,
-    RecipeError,
-    SomeFailed,
-    TwinError,
-    did_you_mean,
-)
-from twin.files import plain
+from twin.errors import InputError, MissingCapability, RecipeError, SomeFailed, did_you_mean
 from twin.parts.methods import Method, WeightRule
 
 if TYPE_CHECKING:
@@ -41,6 +32,8 @@ if TYPE_CHECKING:
     from twin.parts.scene import Scene
     from twin.study.batch.pool import Pool
 
+
+_Output = Iterator[str | tuple[str, Mapping[str, Any]]]
 
 PAGES = (".html", ".htm")
 WANTED = ("displacement", "picture", "tracking", "forces", "score", "report")
@@ -63,10 +56,6 @@ def _whole(_: Any, tokens: Sequence[Token]) -> int:
 Whole = Annotated[int, Parameter(converter=_whole)]
 SceneName = Annotated[
     str, Parameter(help="Path of a scene file, or the name of a shipped scene (see: twin scenes).")
-]
-Json = Annotated[
-    bool,
-    Parameter(name="--json", help="Print the result as JSON, for other programs."),
 ]
 Overrides = Annotated[
     tuple[str, ...],
@@ -187,67 +176,6 @@ def _file_name(scene: Path, overrides: Sequence[str]) -> str:
     return f"{scene.stem},{plain}"
 
 
-def _print_json(value: Any) -> None:
-    print(json.dumps(value, indent=1, ensure_ascii=False))
-
-
-def _rows_of(lines: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the rows of a table whose cells tabs separate, its first line being the header."""
-    table = [line.split("\t") for line in lines if "\t" in line]
-    return [dict(zip(table[0], map(_value_of, cells), strict=True)) for cells in table[1:]]
-
-
-def _value_of(cell: str) -> Any:
-    """Return a cell as a number where it is one; None for one that is not finite."""
-    try:
-        return plain(float(cell))
-    except ValueError:
-        return cell
-
-
-def _lines_as_json(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that takes ``--json`` too: its lines, the rows of its table, its notes and
-    warnings, and what went wrong, as one object."""
-
-    @wraps(command)
-    def with_json(*arguments: Any, json_: bool = False, **options: Any) -> None:
-        if not json_:
-            command(*arguments, **options)
-            return
-        printed, notes = io.StringIO(), io.StringIO()
-        failure: TwinError | None = None
-        try:
-            with redirect_stdout(printed), redirect_stderr(notes):
-                command(*arguments, **options)
-        except TwinError as problem:
-            failure = problem
-        finally:
-            print(notes.getvalue(), end="", file=sys.stderr)
-        lines = printed.getvalue().splitlines()
-        _print_json(
-            {
-                "command": command.__name__,
-                "ok": failure is None,
-                "lines": lines,
-                "rows": _rows_of(lines),
-                "notes": notes.getvalue().splitlines(),
-                "problems": [] if failure is None else str(failure).splitlines(),
-            }
-        )
-        if failure is not None:
-            raise failure
-
-    signature = inspect.signature(command)
-    json_ = inspect.Parameter(
-        "json_", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Json
-    )
-    with_json.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=[*signature.parameters.values(), json_]
-    )
-    with_json.__annotations__ = {**command.__annotations__, "json_": Json}
-    return with_json
-
-
 def run(
     scene: SceneName,
     *,
@@ -273,13 +201,12 @@ def run(
     open_: Annotated[
         bool, Parameter(name="--open", help="Open the report in the browser.")
     ] = False,
-    json_: Json = False,
     port: Annotated[
         Whole,
         Parameter(help="Port of the live page (default: any that is free).", show_default=False),
     ] = 0,
     set_: Overrides = (),
-) -> None:
+) -> _Output:
     """Compute one press through the whole twin.
 
     --want takes any of displacement, picture, tracking, forces, score, report, separated by commas.
@@ -306,14 +233,20 @@ def run(
     twin run kamiyama_pillar --live
     twin run gelpad_slide --film
     """
-    if film and (live or want or open_ or json_):
+    if film and (live or want or open_):
         raise InputError("--film has pictures and their truth only: leave out other options")
     if h264 and not film:
         raise InputError("--h264: belongs to --film")
     if live:
-        if open_ or json_:
-            raise InputError("--live has no report and no result: leave out --open and --json")
-        _live(scene, out, want, port, set_)
+        if out is not None or want or open_:
+            raise InputError(
+                "--live writes nothing and shows all there is: leave out --out, --want and --open"
+            )
+        from twin.study.live import QUICK, run_live
+        from twin.study.recipe import load_scene, parse_overrides
+
+        with _scene_named(scene):
+            run_live(load_scene(scene, QUICK | parse_overrides(set_)), port, _progress())
         return
     if port:
         raise InputError("--port: belongs to --live")
@@ -322,15 +255,21 @@ def run(
     gc.set_threshold(10_000, 50, 10)
     from twin.study.recipe import find_scene
 
-    wanted = _wanted(want)
+    known = ", ".join(WANTED)
+    wanted = _listed("--want", want, f"any of {known}") or list(WANTED)
+    for name in wanted:
+        if name not in WANTED:
+            hint = did_you_mean(name, WANTED, f"allowed are {known}")
+            raise InputError(f"--want {name}: unknown; {hint}")
     path = find_scene(scene)
     loaded = _load(scene, set_)
     folder = out or Path("out") / _file_name(path, set_)
     if film:
         from twin.study.film import film_to_folder
 
+        folder = out or folder / "film"
         with _scene_named(scene):
-            print(film_to_folder(loaded, out or folder / "film", _progress(), h264=h264))
+            yield film_to_folder(loaded, folder, _progress(), h264=h264), {"folder": str(folder)}
         return
     from twin.study.run import run_to_folder
 
@@ -338,15 +277,11 @@ def run(
         raise InputError("--open: --want leaves the report out; add report to it")
     try:
         with _scene_named(scene):
-            text = run_to_folder(loaded, folder, wanted, progress=_progress())
+            text = run_to_folder(loaded, folder, frozenset(wanted), progress=_progress())
     except SomeFailed:
-        if json_:
-            _print_json(_run_files(folder))
+        yield "", _run_files(folder)
         raise
-    if json_:
-        _print_json({**_run_files(folder), "lines": text.splitlines()})
-    else:
-        print(text)
+    yield text, _run_files(folder)
     if open_:
         import webbrowser
 
@@ -379,9 +314,7 @@ def _json_of(path: Path) -> Any:
 def explain(
     path: Annotated[Path, Parameter(help="score.json of a run, or the run's folder.")],
     /,
-    *,
-    json_: Json = False,
-) -> None:
+) -> _Output:
     """Print what each number of a run means, with its unit and a verdict.
 
     The verdicts good, fair and poor are this program's own scale; each stands with the limit of
@@ -403,38 +336,18 @@ def explain(
     found = findings_of(score, text)
     if not found:
         raise InputError(f"{file}: holds no number of a run; compute one with --want score")
-    if json_:
-        _print_json([asdict(one) for one in found])
-    else:
-        print("\n".join(one.line() for one in found))
+    yield from ((one.line(), asdict(one)) for one in found)
 
 
-def _live(
-    scene: str, out: Path | None, want: Sequence[str], port: int, set_: Sequence[str]
-) -> None:
-    from twin.study.live import QUICK, run_live
-    from twin.study.recipe import load_scene, parse_overrides
-
-    if out is not None or want:
-        raise InputError("--live writes nothing and shows all there is: leave out --out and --want")
-    with _scene_named(scene):
-        run_live(load_scene(scene, QUICK | parse_overrides(set_)), port, _progress())
+def _listed(option: str, given: Sequence[str], known: str) -> list[str]:
+    """Return what an option names, separated by commas or given again; nothing where it is left
+    out."""
+    names = [part.strip() for name in given for part in name.split(",") if part.strip()]
+    if given and not names:
+        raise InputError(f"{option} names nothing: give {known}, or leave it out for all")
+    return names
 
 
-def _wanted(names: Sequence[str]) -> frozenset[str]:
-    given = [part.strip() for name in names for part in name.split(",") if part.strip()]
-    for name in given:
-        if name not in WANTED:
-            hint = did_you_mean(name, WANTED, f"allowed are {', '.join(WANTED)}")
-            raise InputError(f"--want {name}: unknown; {hint}")
-    if names and not given:
-        raise InputError(
-            f"--want names nothing: give any of {', '.join(WANTED)}, or leave it out for all"
-        )
-    return frozenset(given or WANTED)
-
-
-@_lines_as_json
 def mesh(
     scene: SceneName,
     *,
@@ -445,50 +358,37 @@ def mesh(
         Path | None, Parameter(help="Write the truth's mesh as .vtu for other programs.")
     ] = None,
     set_: Overrides = (),
-) -> None:
+) -> _Output:
     """Show the meshes of a scene's body, or make them again.
 
     Examples:
     twin mesh sato_press
     twin mesh sato_press --export finger.vtu
     """
-
-    loaded = _load(scene, set_)
-    lines = _describe_meshes(loaded, rebuild=rebuild, export=export, progress=_progress())
-    print("\n".join(lines))
-
-
-def _describe_meshes(
-    scene: Scene, *, rebuild: bool, export: Path | None = None, progress: Progress | None = None
-) -> list[str]:
-    """Return a line for each of the body's meshes: size and worst quality; make them again, or
-    export, if asked."""
     from twin.world.mesh.body_mesh import body_mesh
     from twin.world.mesh.quality import Quality
     from twin.world.mesh.sizing import Level
 
-    lines = []
-    levels: tuple[Level, ...] = (
-        "standard",
-        "nominal",
-    )  # what most scenes need; the others are made on request
+    body = _load(scene, set_).body
+    progress = _progress()
+    levels: tuple[Level, ...] = ("standard", "nominal")  # others are made on request
     for level in levels:
-        mesh = body_mesh(scene.body, level, rebuild=rebuild, progress=progress)
+        made = body_mesh(body, level, rebuild=rebuild, progress=progress)
         if export is not None and level == "standard":
-            mesh.export(scene.body, export)
-        worst = Quality.of(mesh, scene.body)
-        failures = worst.failures()
-        state = (
-            "; ".join(failures)
-            or f"smallest dihedral angle {worst.least_dihedral_deg:.1f} deg, volume and surface ok"
-        )
-        lines.append(
-            f"{level:8s} {len(mesh.tets)} tetrahedra, {len(mesh.points)} nodes, {mesh.unknowns} "
-            f"unknowns; {state}"
-        )
+            made.export(body, export)
+        worst = Quality.of(made, body)
+        angle, failures = worst.least_dihedral_deg, worst.failures()
+        state = f"smallest dihedral angle {angle:.1f} deg, volume and surface ok"
+        sizes = {
+            "tetrahedra": len(made.tets),
+            "nodes": len(made.points),
+            "unknowns": made.unknowns,
+        }
+        size = ", ".join(f"{count} {name}" for name, count in sizes.items())
+        record = {"level": level, **sizes, "least_dihedral_deg": angle, "failures": failures}
+        yield f"{level:8s} {size}; {'; '.join(failures) or state}", record
     if progress is not None:
         progress("done", 1.0)
-    return lines
 
 
 _Layers = Annotated[
@@ -521,8 +421,7 @@ def scenes(
     resolution: Annotated[
         tuple[Whole, Whole], Parameter(help="Width and height of the picture, px.")
     ] = (640, 480),
-    json_: Json = False,
-) -> None:
+) -> _Output:
     """List the shipped scenes, or write a recipe of your own sensor.
 
     --new NAME writes NAME.toml: a soft pad on a plate, dots near its surface, a camera behind. The
@@ -548,25 +447,17 @@ def scenes(
             focal_mm=focal_mm,
             resolution=resolution,
         )
-        lines = pad.write(new)
-        if json_:
-            _print_json({"file": lines[0].partition(":")[0], "lines": lines})
-        else:
-            print("\n".join(lines))
+        file, lines = pad.write(new)
+        yield lines[0], {"file": str(file)}
+        yield from lines[1:]
         return
     from twin.study.recipe import load_scene, shipped_scenes
 
-    rows = [
-        {"name": name, "title": load_scene(name).title, "path": str(path)}
-        for name, path in shipped_scenes().items()
-    ]
-    if json_:
-        _print_json(rows)
-    else:
-        print("\n".join(f"{row['name']:20s} {row['title']}" for row in rows))
+    for name, path in shipped_scenes().items():
+        title = load_scene(name).title
+        yield f"{name:20s} {title}", {"name": name, "title": title, "path": str(path)}
 
 
-@_lines_as_json
 def check(
     file: Annotated[
         str,
@@ -588,7 +479,7 @@ def check(
         Parameter(help="Measure the scene's camera chip by EMVA 1288, and compare what it states."),
     ] = False,
     set_: Overrides = (),
-) -> None:
+) -> _Output:
     """Check a file or a folder and print everything that is wrong with it.
 
     Two rest pictures of a sensor and its scene: print noise, saturation, blur, compression, the
@@ -611,40 +502,36 @@ def check(
 
         loaded = _load(scene, set_)
         with _scene_named(scene):
-            print("\n".join(check_camera(Path(file), second, loaded)))
+            yield from check_camera(Path(file), second, loaded)
         return
     if camera:
         from twin.study.photon_transfer import photon_transfer
 
         loaded = _load(file, set_)
         with _scene_named(file):
-            print("\n".join(photon_transfer(loaded.ccd).lines(loaded.ccd)))
+            yield from photon_transfer(loaded.ccd).lines(loaded.ccd)
         return
     from twin.study.check import check_path
     from twin.study.recipe import parse_overrides
 
     with _scene_named(file):
-        print("\n".join(check_path(file, parse_overrides(set_))))
+        yield from check_path(file, parse_overrides(set_))
 
 
-def doctor(*, json_: Json = False) -> None:
+def doctor() -> _Output:
     """Print what is installed, which Mitsuba variant and solver are used, and where the caches are.
 
     Exit code 4 if the main job can't run on this machine.
     """
     from twin.study.check import examine
 
-    lines, missing = examine()
-    if json_:
-        facts = dict(line.split(maxsplit=1) for line in lines)
-        _print_json({"facts": facts, "missing": missing})
-    else:
-        print("\n".join(lines))
+    facts, missing = examine()
+    for name, found in facts.items():
+        yield f"{name:11s} {found}", {"name": name, "found": found}
     if missing:
         raise MissingCapability("the main job can't run: " + "; ".join(missing))
 
 
-@_lines_as_json
 def view(
     path: Annotated[
         str,
@@ -660,7 +547,7 @@ def view(
     ] = None,
     window: Annotated[bool, Parameter(help="Open a window (needs a display and OpenGL).")] = False,
     set_: Overrides = (),
-) -> None:
+) -> _Output:
     """Write a page that shows a body under its press and turns in the browser, without a server.
 
     The body is deformed, with its marker layers, tractions, and which patches stick or slip; every
@@ -694,7 +581,8 @@ def view(
     if is_dataset:
         from twin.study.dataset.reader import DatasetReader
 
-        print(DatasetReader(folder).write_sheet(out or Path(f"{folder.name or 'dataset'}.html")))
+        page = out or Path(f"{folder.name or 'dataset'}.html")
+        yield DatasetReader(folder).write_sheet(page), {"file": str(page)}
         return
     from twin.files import make_folder, write_whole
     from twin.study.film import FILMS, write_film
@@ -707,7 +595,8 @@ def view(
         if window or page.suffix.lower() not in PAGES:
             raise InputError(f"{path}: an STL file gives a page, --out NAME.html, and no window")
         write_whole(page, surface_view(folder).page().encode())
-        print(f"written to {page}; open it in a browser and click what is pressed or held")
+        line = f"written to {page}; open it in a browser and click what is pressed or held"
+        yield line, {"file": str(page)}
         return
     # The page of a run goes into the run's folder, that of a scene into the current one.
     if folder.is_dir() and not (folder / "scene.toml").is_file():
@@ -738,15 +627,15 @@ def view(
     make_folder(page.parent)
     with _scene_named(path):
         if page.suffix.lower() in FILMS:
-            print(write_film(sensor, page))
+            line = write_film(sensor, page)
         else:
             write_whole(page, body_view(sensor).page().encode())
-            print(f"written to {page}; open it in a browser")
+            line = f"written to {page}; open it in a browser"
+        yield line, {"file": str(page)}
     if bar is not None:
         bar("done", 1.0)
 
 
-@_lines_as_json
 def calibrate(
     folder: Annotated[
         Path | None,
@@ -778,7 +667,7 @@ def calibrate(
     pitch_mm: _Layers = (),
     depth_mm: _Layers = (),
     set_: Overrides = (),
-) -> None:
+) -> _Output:
     """Calibrate a scene's sensor, on the twin or from a recording, and write the calibration file.
 
     A recording is a folder with rest.png (or .jpg, .bmp), a picture of every press, and presses.csv
@@ -806,17 +695,17 @@ def calibrate(
         from twin.study.found_layout import layout_to_files
 
         tables = out or Path("markers.toml")
+        drawn = overlay or tables.with_suffix(".png")
         with _scene_named(scene or str(layout_from)):
-            print(
-                layout_to_files(
-                    layout_from,
-                    tables,
-                    overlay or tables.with_suffix(".png"),
-                    pitch_mm=pitch_mm,
-                    depth_mm=depth_mm,
-                    scene=None if scene is None else _load(scene, set_),
-                )
+            text = layout_to_files(
+                layout_from,
+                tables,
+                drawn,
+                pitch_mm=pitch_mm,
+                depth_mm=depth_mm,
+                scene=None if scene is None else _load(scene, set_),
             )
+        yield text, {"file": str(tables), "overlay": str(drawn)}
         return
     if overlay is not None or pitch_mm or depth_mm:
         raise InputError("--overlay, --pitch-mm and --depth-mm belong to --layout-from")
@@ -830,10 +719,9 @@ def calibrate(
 
     loaded = _load(scene, (*set_, f"calibration.method={method}") if method else set_)
     with _scene_named(scene):
-        print(calibrate_to_file(loaded, out, _progress(), folder))
+        yield calibrate_to_file(loaded, out, _progress(), folder), {"file": str(out)}
 
 
-@_lines_as_json
 def reconstruct(
     rest: Annotated[
         Path,
@@ -893,7 +781,7 @@ def reconstruct(
     times: Annotated[
         Path | None, Parameter(help="Instead: a CSV file with the columns frame, time_s.")
     ] = None,
-) -> None:
+) -> _Output:
     """Track the markers of recorded frames and reconstruct the forces.
 
     Every frame is one row: total force and torque with standard deviations, centre of pressure,
@@ -912,7 +800,7 @@ def reconstruct(
     """
     from twin.study.recorded import reconstruct_recording
 
-    reconstruct_recording(
+    yield from reconstruct_recording(
         rest,
         frames,
         calibration,
@@ -948,7 +836,6 @@ def _weight(text: str) -> float | WeightRule:
 _DEFAULT = _Batch()
 
 
-@_lines_as_json
 def dataset(
     scene: SceneName,
     *,
@@ -962,7 +849,7 @@ def dataset(
     ] = (),
     batch: _Batch = _DEFAULT,
     set_: Overrides = (),
-) -> None:
+) -> _Output:
     """Make a dataset of a scene whose [vary] table lists what differs between samples.
 
     DIR/data holds the samples as Parquet, DIR/sensors the sensors they were pressed on, DIR/meta
@@ -978,11 +865,8 @@ def dataset(
     from twin.study.dataset.create import create_dataset
     from twin.study.recipe import find_scene
 
-    names = [part.strip() for name in columns for part in name.split(",") if part.strip()]
-    if columns and not names:
-        raise InputError("--columns names nothing: name some, or leave it out for all")
     loaded = _load(scene, set_)
-    if names:
+    if names := _listed("--columns", columns, "some"):
         kept = loaded.dataset.model_copy(update={"columns": tuple(names)})
         loaded = loaded.model_copy(update={"dataset": kept})
     if not 1 <= samples <= MOST_SAMPLES:
@@ -992,14 +876,16 @@ def dataset(
     if batch.dry_run:
         from twin.study.dataset.create import estimate
 
-        print(*estimate(loaded, samples, workers=workers, progress=_progress()), sep="\n")
+        yield from estimate(loaded, samples, workers=workers, progress=_progress())
         return
     done = create_dataset(
         loaded, folder, samples, workers=workers, scheduler=cluster, progress=_progress()
     )
     rate = f" ({done.made / done.seconds:.3g} a second)" if done.made else ""
-    print(f"samples     {done.samples}, {done.made} of them made now{rate}")
-    print(f"written to  {done.folder}")
+    facts = {name: getattr(done, name) for name in ("samples", "made", "failed", "seconds")}
+    record = {**facts, "missing": len(done.missing), "folder": str(done.folder)}
+    yield f"samples     {done.samples}, {done.made} of them made now{rate}", record
+    yield f"written to  {done.folder}"
     if done.missing:
         raise SomeFailed(f"{len(done.missing)} shards are missing, {done.reason}")
     if done.failed:
@@ -1008,14 +894,13 @@ def dataset(
         )
 
 
-@_lines_as_json
 def export(
     source: Annotated[str, Parameter(help="Folder of a dataset, or a scene for mitsuba.")],
     *,
     format: Annotated[str, Parameter(help="hdf5, coco, webdataset, or mitsuba.")],
     out: Annotated[Path, Parameter(help="Folder to write to.")],
     set_: Overrides = (),
-) -> None:
+) -> _Output:
     """Write a dataset as HDF5, as COCO keypoints, or as WebDataset tar files; or a scene for
     Mitsuba.
 
@@ -1038,10 +923,10 @@ def export(
         if set_:
             raise InputError("-s: belongs to a scene (--format mitsuba)")
         files = export_dataset(Path(source), format, out, _progress())
-    print(f"{files[0] if files else out}: {len(files)} file{'s' if len(files) != 1 else ''}")
+    line = f"{files[0] if files else out}: {len(files)} file{'s' if len(files) != 1 else ''}"
+    yield line, {"files": list(map(str, files))}
 
 
-@_lines_as_json
 def sweep(
     sweep: Annotated[str, Parameter(help="Path of a sweep file, or the name of a shipped sweep.")],
     *,
@@ -1053,7 +938,7 @@ def sweep(
     ] = False,
     batch: _Batch = _DEFAULT,
     set_: Overrides = (),
-) -> None:
+) -> _Output:
     """Judge many designs of a sensor: by a closed form, by their linear information, by pictures.
 
     Prints what to make, and the best designs; -s changes keys of the scene for every design.
@@ -1078,7 +963,7 @@ def sweep(
     if batch.dry_run:
         from twin.study.sweep.sweep_run import estimate
 
-        print(*estimate(wanted, scene, workers=workers), sep="\n")
+        yield from estimate(wanted, scene, workers=workers)
         return
     from twin.study.sweep.sweep_report import write_report
     from twin.study.sweep.sweep_run import run_sweep
@@ -1088,18 +973,19 @@ def sweep(
     done = run_sweep(
         wanted, scene, folder, workers=workers, scheduler=cluster, progress=bar, optimise=optimise
     )
-    best = write_report(done, folder)
+    lines, best = write_report(done, folder)
     if bar is not None:
         bar("done", 1.0)
     kinds = {kind: int((done.status == kind).sum()) for kind in ("ok", "dropped", "failed")}
     counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-    print(f"designs     {len(done.designs)}: {counts}")
+    yield f"designs     {len(done.designs)}: {counts}"
     for warning in done.warnings:
-        print(f"warning     {warning}")
+        yield f"warning     {warning}"
     if not kinds["ok"] and not done.failed:
-        raise InputError(best[0])
-    print("\n".join(best))
-    print(f"written to  {folder}: report.html says how far to trust them ('Fidelities and reuse')")
+        raise InputError(lines[0])
+    yield from lines
+    yield from (("", record) for record in best)
+    yield f"written to  {folder}: report.html says how far to trust them ('Fidelities and reuse')"
     if done.failed:
         reason = next(str(e) for e, s in zip(done.error, done.status, strict=True) if s == "failed")
         raise SomeFailed(
@@ -1107,7 +993,6 @@ def sweep(
         )
 
 
-@_lines_as_json
 def reproduce(
     *names: Annotated[
         str, Parameter(help="Entries (kamiyama/table-1), papers (sato), or all (default).")
@@ -1119,7 +1004,7 @@ def reproduce(
         bool, Parameter(help="One made sensor, fewer steps, no long entries.")
     ] = False,
     seed: Annotated[Whole, Parameter(help="Root seed of sensors and noise.")] = 1,
-) -> None:
+) -> _Output:
     """Reproduce the papers' tables and figures, with the papers' figures for comparison.
 
     Every experiment runs through the full chain: contact, picture, CCD, tracking, inverse. Writes
@@ -1135,7 +1020,7 @@ def reproduce(
     if not 0 <= seed < 2**63 - 100:
         raise InputError(f"--seed {seed}: allowed are whole numbers from 0 to 2^63 - 101")
     done = run(names, out, seed=seed, quick=quick, progress=_progress())
-    print("\n".join(done.lines))
+    yield from done.lines
     if done.failed:
         raise SomeFailed(
             f"{len(done.failed)} of the entries failed: {', '.join(done.failed)}; see "

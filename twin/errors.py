@@ -18,15 +18,23 @@ code   meaning
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 
-def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float = 0.6) -> str:
-    """Return the question after the nearest of the known names; ``otherwise`` where none is as near
-    as ``cutoff``."""
+def did_you_mean(
+    name: str,
+    known: Iterable[str],
+    otherwise: str,
+    cutoff: float = 0.6,
+    *,
+    files: Mapping[str, str] | None = None,
+) -> str:
+    """Return the question after the nearest of the known names, or of the ``files`` by the name
+    that is compared; ``otherwise`` where none is as near as ``cutoff``."""
     import difflib  # an error is rare, and the program starts without it
 
-    spelt = {one.lower(): one for one in known}
+    asked = {**(files or {}), **{one: one for one in known}}
+    spelt = {one.lower(): shown for one, shown in asked.items()}
     near = difflib.get_close_matches(name.lower(), list(spelt), 1, cutoff)
     return f"did you mean '{spelt[near[0]]}'?" if near else otherwise
 

@@ -195,7 +195,7 @@ def test_displacement_alone_loads_no_renderer_and_writes_no_picture(tmp_path: Pa
 
 
 def test_other_settings_and_other_scenes_are_written_under_other_names(tmp_path, monkeypatch):
-    from twin.commands import run, view
+    run, view = app["run"].default_command, app["view"].default_command
 
     monkeypatch.chdir(tmp_path)
     folders: list[Path] = []
@@ -288,7 +288,7 @@ def test_a_renderer_of_no_known_name_is_refused_before_the_press_is_solved(monke
 
 
 def graphics() -> str:
-    return next(line for line in examine()[0] if line.startswith("GL "))
+    return examine()[0]["GL"]
 
 
 def test_libraries_that_can_not_be_loaded_are_not_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -307,33 +307,42 @@ def test_a_run_prints_json_and_explain_reads_its_folder(tmp_path: Path) -> None:
     done = twin("run", "block_bare", *probe, "--out", str(tmp_path / "run"), "--json")
     assert done.returncode == 0, done.stderr
     printed = json.loads(done.stdout)
-    assert printed["score"] == json.loads((tmp_path / "run" / "score.json").read_text())
-    assert printed["score"]["tracking"] is None
+    (record,) = printed["rows"]
+    assert record["score"] == json.loads((tmp_path / "run" / "score.json").read_text())
+    assert record["score"]["tracking"] is None
     assert printed["lines"][0].startswith("contact     1 N")
-    assert {Path(path).name for path in printed["files"].values()} >= {"score.json", "report.html", "scene.toml"}
+    assert {Path(path).name for path in record["files"].values()} >= {"score.json", "report.html", "scene.toml"}
     assert not {path.name for path in (tmp_path / "run").iterdir()} & {"rest.png", "pressed.png", "estimate.npz"}
     explained = twin("explain", str(tmp_path / "run"))
     assert explained.returncode == 0
     assert "held by its force" in explained.stdout
-    rows = json.loads(twin("explain", str(tmp_path / "run" / "score.json"), "--json").stdout)
+    rows = json.loads(twin("explain", str(tmp_path / "run" / "score.json"), "--json").stdout)["rows"]
     assert {"key", "value", "unit", "sentence", "verdict"} == set(rows[0])
+
+
+def in_json(*arguments: str) -> dict:
+    """What a command prints with --json, which has the same keys for all commands."""
+    printed = json.loads(twin(*arguments, "--json").stdout, parse_constant=pytest.fail)
+    assert list(printed) == ["command", "ok", "lines", "rows", "notes", "problems"]
+    return printed
 
 
 def test_check_scenes_and_doctor_print_json(tmp_path: Path) -> None:
     wrong = tmp_path / "scene.toml"
     wrong.write_text('base = "block_bare"\n[material]\npoison_ratio = 0.3\n')
-    bad = twin("check", str(wrong), "--json")
-    assert bad.returncode == 2
-    assert json.loads(bad.stdout)["ok"] is False
-    assert "did you mean 'poisson_ratio'" in bad.stdout
+    assert twin("check", str(wrong), "--json").returncode == 2
+    bad = in_json("check", str(wrong))
+    assert not bad["ok"]
+    assert "did you mean 'poisson_ratio'" in bad["problems"][0]
     assert twin("check", "block_bare").stdout.rstrip().endswith("ok")
-    assert json.loads(twin("check", "block_bare", "--json").stdout)["ok"] is True
-    scenes = json.loads(twin("scenes", "--json").stdout)
+    assert in_json("check", "block_bare")["ok"]
+    scenes = in_json("scenes")["rows"]
     assert {"name", "title", "path"} == set(scenes[0])
     assert "kamiyama_pillar" in {scene["name"] for scene in scenes}
-    assert json.loads(twin("doctor", "--json").stdout)["facts"]["numpy"]
-    new = json.loads(twin("scenes", "--new", str(tmp_path / "mine"), "--json").stdout)
-    assert Path(new["file"]).is_file()
+    assert {"name": "numpy", "found": np.__version__} in in_json("doctor")["rows"]
+    new = in_json("scenes", "--new", str(tmp_path / "mine"))
+    assert Path(new["rows"][0]["file"]).is_file()
+    assert "twin run" in new["lines"][0]
 
 
 def test_every_command_takes_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -343,7 +352,7 @@ def test_every_command_takes_json(capsys: pytest.CaptureFixture[str]) -> None:
     app["mesh"].default_command("block_bare", json_=True)
     printed = json.loads(capsys.readouterr().out)
     assert printed["ok"]
-    assert "tetrahedra" in printed["lines"][0]
+    assert f"{printed['rows'][0]['tetrahedra']} tetrahedra" in printed["lines"][0]
     with pytest.raises(InputError):
         app["export"].default_command("nowhere", format="coco", out=Path("o"), json_=True)
     printed = json.loads(capsys.readouterr().out)
@@ -361,7 +370,9 @@ def test_json_holds_the_table_and_the_notes_that_the_screen_shows(tmp_path: Path
     assert done.returncode == 3
     printed = json.loads(done.stdout, parse_constant=pytest.fail)
     seen, missing = printed["rows"]
-    assert abs(seen["Fz N"]) < 0.1
-    assert missing["Fz N"] is None
+    assert abs(seen["fz_n"]) < 0.1
+    assert missing["fz_n"] is None
+    assert not missing["ok"]
+    assert printed["lines"][1].split("\t")[4] == f"{seen['fz_n']:.4f}"
     assert [line for line in printed["notes"] if line.startswith("frames      2, 1 failed")]
     assert "frames      2, 1 failed" in done.stderr

@@ -95,8 +95,9 @@ def test_a_press_that_moves_nothing_visibly_is_said_once_everywhere(tmp_path, sa
     ],
 )
 def test_what_is_written_is_a_scene_without_doubts(pad: Pad, tmp_path: Path) -> None:
-    (line,) = pad.write(tmp_path / "mine")
-    assert line.startswith(str(tmp_path / "mine.toml"))
+    file, (line,) = pad.write(tmp_path / "mine")
+    assert file == tmp_path / "mine.toml"
+    assert line.startswith(str(file))
     scene = twin.load_scene(tmp_path / "mine.toml")
     assert not doubts(scene)
     assert View.of(scene).inside.all(), "the camera sees every dot"

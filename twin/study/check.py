@@ -1,7 +1,7 @@
-"""What `twin check` and `twin doctor` find out, as the lines that they print.
+"""What `twin check` and `twin doctor` find out.
 
 `check_path` checks a scene, sweep, calibration, folder of results or dataset, and raises an error
-that lists every problem. `examine` lists what this machine has. `check_camera` is what two rest
+that lists every problem. `examine` returns what this machine has. `check_camera` is what two rest
 pictures say about a camera: noise, exposure, focus, compression, and the errors of shifts and
 forces that follow.
 """
@@ -200,41 +200,38 @@ LOADING_S = 20.0
 """How long a library is waited for."""
 
 
-def examine() -> tuple[list[str], list[str]]:
-    """Return facts about this machine, a line each, and what the main job lacks here.
+def examine() -> tuple[dict[str, str], list[str]]:
+    """Return facts about this machine by name, and what the main job lacks here.
 
     No package that could crash on this machine is loaded.
     """
-    lines = [
-        f"python      {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
-    ]
+    facts = {
+        "python": f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
+    }
     missing = []
     for name in NEEDED:
         version = _version(name)
-        lines.append(f"{name:11s} {version or 'MISSING'}")
+        facts[name] = version or "MISSING"
         if version is None:
             missing.append(f"{name} is not installed: pip install tactile-twin")
     for name, use in OPTIONAL.items():
-        lines.append(f"{name:11s} {_version(name) or 'not installed (optional): ' + use}")
+        facts[name] = _version(name) or f"not installed (optional): {use}"
     if not missing:
         from twin.world.elasticity.factor import Factor
         from twin.world.picture.backend import Variant
 
         try:
             variant = Variant.choose()
-            lines.append(f"renderer    {variant.name}: {variant.reason}")
+            facts["renderer"] = f"{variant.name}: {variant.reason}"
         except MissingCapability as problem:
             missing.append(str(problem))
-        lines.append(f"solver      {', '.join(Factor.solvers())}")
-    lines.append(
-        f"GL          "
-        f"{'found' if _loads(*GL) else 'not found: only interactive 3-D windows need it'}"
-    )
-    lines.append(f"cache       {cache_folder()}")
+        facts["solver"] = ", ".join(Factor.solvers())
+    facts["GL"] = "found" if _loads(*GL) else "not found: only interactive 3-D windows need it"
+    facts["cache"] = str(cache_folder())
     if not (SCENES.is_dir() and MESHES.is_dir()):
         missing.append(f"the recipes are missing ({SCENES.parent}): install with pip install -e")
-    lines.append(f"recipes     {SCENES.parent}")
-    return lines, missing
+    facts["recipes"] = str(SCENES.parent)
+    return facts, missing
 
 
 def _loads(*names: str) -> bool:

@@ -62,8 +62,8 @@ class Pad:
     focal_mm: float | None = None
     resolution: tuple[int, int] = (640, 480)
 
-    def write(self, path: Path) -> list[str]:
-        """Write a recipe, and return lines about it: the file, and what is unlikely in it.
+    def write(self, path: Path) -> tuple[Path, list[str]]:
+        """Write a recipe; return its file, and lines about it with what is unlikely in it.
 
         Raises
         ------
@@ -83,10 +83,8 @@ class Pad:
         MarkerSet.place(scene.body, scene.markers)
         write_whole(target, text.encode())
         dots = [f"{layer.columns} x {layer.rows} {name}" for name, layer in scene.markers.items()]
-        return [
-            f"{target}: {', '.join(dots)}; now: twin run {target}",
-            *(f"warning: {line}" for line in doubts(scene)),
-        ]
+        said = f"{target}: {', '.join(dots)}; now: twin run {target}"
+        return target, [said, *(f"warning: {line}" for line in doubts(scene))]
 
 
 def _in_range(option: str, value: float, unit: str, low: float, high: float, remedy: str) -> None:

@@ -632,10 +632,9 @@ def _find(name: str, near: Sequence[Path], what: str, where: Path | None = None)
         if os.path.isfile(candidate):  # Path.is_file raises where a name is too long
             return candidate
     known = [p.stem for p in sorted(folder.glob("*.toml")) if p.stem.startswith(SWEEP) == is_sweep]
+    files = {file.stem: file.name for file in given[0].absolute().parent.glob("*.toml")}
     otherwise = f"there is no such file, and shipped ones are: {', '.join(known)}"
-    files = [file.stem for file in given[0].absolute().parent.glob("*.toml")]
-    near_file = did_you_mean(Path(name).stem, files, otherwise).replace("'?", ".toml'?")
-    text = f"no {what} '{name}': {did_you_mean(Path(name).stem, known, near_file)}"
+    text = f"no {what} '{name}': {did_you_mean(Path(name).stem, known, otherwise, files=files)}"
     if name and any(os.path.lexists(file) for file in given):
         text = f"{what} '{name}': is no file to read, but a folder, a device, or a link to nowhere"
     raise InputError(text) if where is None else RecipeError(text, str(where))

@@ -80,8 +80,9 @@ def reconstruct_recording(
     frames_per_second: float | None = None,
     times: Path | None = None,
     **options: Any,
-) -> None:
-    """Reconstruct recorded frames: print a row of each and a summary, write table and drawings.
+) -> Iterator[str | tuple[str, dict[str, Any]]]:
+    """Reconstruct recorded frames: yield a line and a record of each and lines of a summary, write
+    table and drawings.
 
     Parameters
     ----------
@@ -142,9 +143,10 @@ def reconstruct_recording(
     summary = _Summary()
     try:
         with _LiveTable() as live:
+            yield live.head
             for result in results:
                 row = result.row(len(known.site_mm))
-                live.add(row)
+                yield live.line(row), {key: value for key, value in row.items() if key != _FIELD}
                 summary.add(result, row)
                 if table:
                     table.add(row)
@@ -157,9 +159,11 @@ def reconstruct_recording(
     # What became of the frames in all.
     if not summary.count:
         raise InputError("there were no frames")
-    print("\n".join(summary.lines(bounded)), file=sys.stdout if out else sys.stderr)
     if out:
-        print(f"written to  {out}")
+        yield from summary.lines(bounded)
+        yield f"written to  {out}"
+    else:
+        print("\n".join(summary.lines(bounded)), file=sys.stderr)
     if summary.failed:
         raise SomeFailed(
             f"{summary.failed} of {summary.count} frames failed, the first trouble: {summary.first}"
@@ -580,7 +584,7 @@ _HEAD = ("frame", "markers", "Fx N", "Fy N", "Fz N", "± Fz N", "Tz N mm", "ms",
 
 
 class _LiveTable:
-    """Shows rows as they come: the last few on a terminal, all of them as lines elsewhere."""
+    """Shows the last few rows on a terminal; elsewhere they are lines, with ``head`` above."""
 
     def __init__(self) -> None:
         self._rows: deque[tuple[str, ...]] = deque(maxlen=_ROWS)
@@ -592,16 +596,15 @@ class _LiveTable:
 
             self._live = Live(refresh_per_second=8, transient=False)
             self._live.start()
-        else:
-            print("\t".join(_HEAD[:-1]))
+        self.head = "" if self._live else "\t".join(_HEAD[:-1])
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._live is not None:
             self._live.stop()
 
-    def add(self, row: Mapping[str, Any]) -> None:
-        """Show one frame's row."""
+    def line(self, row: Mapping[str, Any]) -> str:
+        """Return one frame's row as a line; on a terminal show it instead."""
         cells = (
             str(row["frame"]),
             str(row["markers"]),
@@ -609,11 +612,11 @@ class _LiveTable:
             f"{row['tz_nmm']:.4g}",
             f"{row['milliseconds']:.1f}",
         )
-        if self._live is not None:
-            self._rows.append((*cells, str(row["reason"])))
-            self._live.update(self._table())
-        else:
-            print("\t".join(cells))
+        if self._live is None:
+            return "\t".join(cells)
+        self._rows.append((*cells, str(row["reason"])))
+        self._live.update(self._table())
+        return ""
 
     def _table(self) -> Any:
         from rich.table import Table

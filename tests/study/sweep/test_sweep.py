@@ -34,7 +34,9 @@ def table(folder: Path) -> dict[str, list[object]]:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sweep")
     done = run_sweep(*small(), folder)
-    write_report(done, folder)
+    _, best = write_report(done, folder)
+    assert [record["design"] for record in best] == done.order[:5].tolist()
+    assert all(0.1 < record["two_point_mm"] < 100 and record["fidelity"] == "linear" for record in best)
     return folder
 
 
@@ -225,7 +227,8 @@ def test_sites_that_hold_designs_back_are_said_and_rank_nothing(tmp_path: Path) 
 
 def test_one_axis_and_nothing_possible_still_make_a_page(tmp_path: Path) -> None:
     done = run_sweep(*small(axes={"markers.*.diameter_mm": [1.6]}, derived={}), tmp_path)
-    (said,) = write_report(done, tmp_path)
+    (said,), best = write_report(done, tmp_path)
+    assert not best
     assert said.startswith("None of 1 designs is possible: ")
     assert "markers.red: diameter of its pitch or more" in said
     assert "None of 1 designs is possible" in (tmp_path / "report.html").read_text()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -78,26 +78,29 @@ FIGURES = {
 """Head, meaning and scale of a best design's figures."""
 
 
-def _best_table(done: Swept) -> tuple[list[str], list[list[str]]]:
-    """Return heads and rows of the best designs: number, swept values, figures at their best
-    fidelity, and the last fidelity."""
+def _best_records(done: Swept) -> list[dict[str, Any]]:
+    """Return the best designs: number, swept values, metrics at their best fidelity, and the last
+    fidelity."""
     numbers = done.order[:MOST].tolist()
-    found = {name: done.metric(name) for name in FIGURES}
-    heads = ["design", *map(_axis_name, done.designs.columns)]
-    rows = [
-        [str(number), *(_short(value) for value in done.designs.values(number).values())]
-        for number in numbers
-    ]
-    for name, (head, _, scale) in FIGURES.items():
-        values = found[name]
+    records = [{"design": number, **done.designs.values(number)} for number in numbers]
+    for name in FIGURES:
+        values = done.metric(name)
         if values is not None and np.isfinite(values[numbers]).any():
-            heads.append(head)
-            for row, number in zip(rows, numbers, strict=True):
-                row.append(_short(float(scale * values[number])))
-    heads.append("fidelity")
-    for row, number in zip(rows, numbers, strict=True):
-        row.append(str(done.fidelity[number]))
-    return heads, rows
+            for record in records:
+                record[name] = float(values[record["design"]])
+    return [{**record, "fidelity": str(done.fidelity[record["design"]])} for record in records]
+
+
+def _shown(record: Mapping[str, Any], axes: Collection[str]) -> dict[str, str]:
+    """Return a design's record as it is shown, by the heads of a table."""
+    cells = {}
+    for key, value in record.items():
+        if key in FIGURES:
+            head, _, scale = FIGURES[key]
+            cells[head] = _short(float(scale * value))
+        else:
+            cells[_axis_name(key) if key in axes else key] = _short(value)
+    return cells
 
 
 def _short(value: object) -> str:
@@ -185,9 +188,9 @@ MOST_REASONS = 12
 """Reasons of dropped designs that are counted on the page, the most frequent first."""
 
 
-def write_report(done: Swept, folder: Path) -> list[str]:
+def write_report(done: Swept, folder: Path) -> tuple[list[str], list[dict[str, Any]]]:
     """Write the best designs' scenes into ``best``, and ``report.html``; return lines that say what
-    to make, and the table of the best designs."""
+    to make, with a table of the best designs, and the records of these."""
     import tomli_w
 
     best = _write_best(done, folder)
@@ -199,7 +202,9 @@ def write_report(done: Swept, folder: Path) -> list[str]:
     reasons = Counter(str(e) for e in done.error if e).most_common(MOST_REASONS)
     became = [(name, [str(count)]) for name, count in (*counts.items(), *reasons)]
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in done.notes)
-    heads, rows = _best_table(done)
+    records = _best_records(done)
+    rows = [_shown(record, done.designs.columns) for record in records]
+    heads = list(rows[0]) if rows else []
     pair = done.designs.sweep.loads.pair_mm
     meanings = [
         f"{head.rpartition(' ')[0]}: {meaning.format(pair=pair)}"
@@ -208,7 +213,8 @@ def write_report(done: Swept, folder: Path) -> list[str]:
     ]
     if rows:
         meanings.append("fidelity: full by pictures and tracking, linear and closed without")
-    shown = [(escape(row[0]), [escape(cell) for cell in row[1:]]) for row in rows]
+    cells = [[escape(cell) for cell in row.values()] for row in rows]
+    shown = [(first, others) for first, *others in cells]
     said = f'<p class="note">{escape("; ".join(meanings))}.</p>'
     sections = [
         ("The best", table("Designs", list(map(escape, heads[1:])), shown) + said if rows else ""),
@@ -223,13 +229,12 @@ def write_report(done: Swept, folder: Path) -> list[str]:
     title = sweep.title or f"Sweep of {sweep.scene}"
     text = page(title, _verdict(done), alarms, sections, tomli_w.dumps(recipe))
     write_whole(folder / "report.html", text.encode())
-    # a design a column: five of them fit a terminal, however many axes there are
-    name, cell = max(map(len, heads)), 2 + max([6, *(len(c) for row in rows for c in row)])
-    lines = [
-        head.ljust(name) + "".join(value.rjust(cell) for value in values)
-        for head, *values in zip(heads, *rows, strict=True)
-    ]
-    return [_verdict(done), *(lines if rows else []), *(f"({meaning})" for meaning in meanings)]
+    lines = [_verdict(done)]
+    if rows:
+        # a design a column: five of them fit a terminal, however many axes there are
+        name, cell = max(map(len, heads)), 2 + max(6, *(len(c) for r in rows for c in r.values()))
+        lines += [head.ljust(name) + "".join(r[head].rjust(cell) for r in rows) for head in heads]
+    return [*lines, *(f"({meaning})" for meaning in meanings)], records
 
 
 def _verdict(done: Swept) -> str:
