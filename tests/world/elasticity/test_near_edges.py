@@ -112,7 +112,13 @@ def test_a_place_on_the_finger_costs_its_own_level():
 @pytest.mark.slow
 @pytest.mark.parametrize("at", [(-2.8, 1.1), (2.8, -1.7), (0.0, 0.0)])
 def test_an_edge_folded_inwards_is_stated_where_two_meshes_differ_little(at, tmp_path):
-    """An L held on its leg; beside it, two meshes differed by half of the coarse one's error."""
+    """An L held on its leg, against its ``fine`` mesh; where it was compared with the coarsest mesh,
+    half of the error was stated with some meshes, and nine times the error with others.
+
+    Of 25 pairs of meshes, the error is 0.57 to 0.69 %, 0.22 to 0.34 and 0.54 to 0.69 at the three
+    places, the estimate 0.73 to 1.02 %, 0.89 to 1.37 and 0.71 to 1.17, 1.2 times the error at
+    least. At the second place half of it is what a free edge may add.
+    """
     corners, _ = bracket(np.random.default_rng([5, 1]))
     held, sensing = ({"normal": (0, 0, z), "within_deg": 5} for z in (1, -1))
     body = Solid(file=write_stl(tmp_path / "bracket.stl", corners), held=held, sensing=sensing)
@@ -121,7 +127,7 @@ def test_an_edge_folded_inwards_is_stated_where_two_meshes_differ_little(at, tmp
     points[:, :2] += at
     load = tile(Traction.bump(at, 1.2, (0, 0, 1)), body)
     got, estimate = coarse.answer(points, load)
-    assert relative_error(got, fine.displacement(points, load)) < estimate < 0.03
+    assert relative_error(got, fine.displacement(points, load)) < estimate < 0.02
 
 
 # --- thin bonded blocks ---------------------------------------------------------------------------

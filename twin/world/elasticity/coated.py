@@ -382,7 +382,7 @@ class Ladder:
             away = np.linalg.norm(centres[:, None] - around, axis=2).min(axis=1).max()
             if of == level and away <= width / 2.0 and finest <= 1.25 * width:
                 return made
-        less = EXPECTED[self._body.is_flat, level].against
+        less = EXPECTED[self._body.is_flat, level].compared(self._body)
         other = Compliance(
             self._body, self._material, self._mesh_around(less, level, centres, width), level=less
         )

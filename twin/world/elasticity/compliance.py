@@ -201,7 +201,7 @@ class Compliance:
         return Compliance(
             self.body,
             self.material,
-            level=EXPECTED[self.body.is_flat, self.level].against,
+            level=EXPECTED[self.body.is_flat, self.level].compared(self.body),
             method=self.method,
             table=False,
             surface_table=self._use_surface,
