@@ -39,15 +39,30 @@ class Card:
         self.bound = np.sqrt(2) * bound_px(diameter)
 
     def draw(
-        self, shift: Any = 0.0, psf: float = 0.7, gain: Any = 1.0, shade: Any = None, stretch: Any = None
+        self,
+        shift: Any = 0.0,
+        psf: float = 0.7,
+        gain: Any = 1.0,
+        shade: Any = None,
+        stretch: Any = None,
+        grain: Any = 0.0,
     ) -> np.ndarray:
-        """Return a noise-free (h, w, 3) picture; ``stretch`` (N, 2, 2) deforms every marker's outline."""
+        """Return a noise-free (h, w, 3) picture; ``stretch`` (N, 2, 2) deforms every marker's outline; ``grain`` (h, w)
+        is the ground's, which opaque markers hide."""
         moved = self.marks + shift
-        picture = np.full((self.size[1], self.size[0], 3), GROUND_DN)
+        picture, bare = np.full((self.size[1], self.size[0], 3), GROUND_DN), np.ones(self.size[::-1])
         for channel, rows in ((0, slice(self.count)), (2, slice(self.count, None))):
             part = None if stretch is None else stretch[rows]
-            picture[..., channel] += 130.0 * cover(self.size, moved[rows], self.diameter, psf, shade, part)
-        return picture * np.asarray(gain)
+            covered = cover(self.size, moved[rows], self.diameter, psf, shade, part)
+            picture[..., channel] += 130.0 * covered
+            bare -= covered
+        return (picture + (grain * np.fmax(bare, 0.0))[..., None]) * np.asarray(gain)
+
+    def grain(self, counts: float, width_px: float, moved: Any = (0, 0)) -> np.ndarray:
+        """Return (h, w) light and dark grains of a standard deviation, moved by whole pixels (column, row)."""
+        even = np.random.default_rng(3).normal(0.0, 1.0, self.size[::-1])
+        grains = gaussian_filter(even, width_px / 2, mode="wrap")
+        return np.roll(counts / grains.std() * grains, moved[::-1], (0, 1))
 
     def shifts(self, seed: int) -> np.ndarray:
         """Return (N, 2) motion of up to 3.5 px."""
@@ -211,6 +226,11 @@ def conditions(diameter: float, repeats: int) -> Iterator[dict[str, Any]]:
     yield measured(
         "dust on the window",
         lambda i: expose(clear(card, shifts[i], gain=dust), 20 + i), expose(clear(card, gain=dust), 1),
+    )  # fmt: skip
+    grains = card.grain(5.0, 4.0)
+    yield measured(
+        "grained ground that stays",
+        lambda i: expose(clear(card, shifts[i], grain=grains), 20 + i), expose(clear(card, grain=grains), 1),
     )  # fmt: skip
     hot = np.random.default_rng(7).random(rest.shape) < 1e-3
     yield measured(

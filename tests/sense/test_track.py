@@ -746,6 +746,22 @@ def test_noise_of_rows_hot_pixels_and_other_light_are_stated(camera, diameter, l
     assert 0.65 < np.sqrt(np.nanmean(score**2)) < 1.3
 
 
+@pytest.mark.parametrize("width", [3.0, 8.0])
+@pytest.mark.parametrize(
+    ("moved", "stays", "largest"), [((0, 0), True, 0.01), ((3, -2), True, 0.032), ((3, -2), False, 0.01)]
+)
+def test_grained_ground_states_a_true_deviation(width, moved, stays, largest):
+    """Four to ten times the error was stated, and as much where nothing had moved, or the grains with the markers."""
+    card = Card(10.0)
+    rest = expose(card.draw(grain=card.grain(5.0, width)), 1)
+    grain = card.grain(5.0, width, (0, 0) if stays else moved)
+    found = track(rest, expose(card.draw(np.array(moved), grain=grain), 2), card.layout)
+    error = found.shift_px - moved
+    assert found.seen.mean() > 0.99
+    assert np.sqrt(np.nanmean(error**2)) < largest
+    assert 0.65 < np.sqrt(np.nanmean((error / found.sd_px[:, None]) ** 2)) < 1.2
+
+
 @pytest.mark.parametrize("gain", [0.6, 1.5])
 def test_brighter_and_darker_pictures_state_a_true_deviation(gain):
     card, shift = Card(10.0), Card(10.0).shifts(3)
@@ -862,8 +878,10 @@ def test_a_grey_film_is_known_by_the_blocks_that_it_repeats():
     assert 0.4 < np.sqrt(np.nanmean(score**2)) < 1.6
     fading = np.indices(white[0].shape)[1] // 40  # a ground so dark that its noise is rounded away
     dark = [jpeg(np.where(p < 80, fading, p).astype(np.uint8)) for p in white]
+    grained = [card.draw(s, grain=card.grain(8.0, 12.0)) for s in shifts]
+    dim = [jpeg((20 + 0.75 * expose(p, i)).astype(np.uint8), 60) for i, p in enumerate(grained)]
     clean = [np.rint(card.draw(s)).astype(np.uint8).max(axis=2) for s in shifts]
-    for pictures in ([jpeg(p) for p in white], dark, [white[0]] * 3, clean):
+    for pictures in ([jpeg(p) for p in white], dark, dim, [white[0]] * 3, clean):
         alone = Tracker(pictures[0], {"white": card.marks})
         for picture_ in pictures[1:]:
             alone.track(picture_)

@@ -46,6 +46,7 @@ from twin.sense.centre import (
 from twin.sense.match import GATE, TRUST, Neighbourhood
 from twin.sense.rest_templates import (
     USUAL,
+    BareGround,
     LayerSignal,
     bounded_rms,
     in_other_light,
@@ -222,12 +223,15 @@ class DiscFit(SoftWindow):
     templates, start_px
         What is fitted, and (n, 2) where the fits start at rest, px. Those in other pictures start
         as far from their expected places, so that the rest picture itself shows no motion at all.
+    bare
+        Bare ground whose noise hangs together over pixels; None where it doesn't.
     rougher
         Whether this is for a picture whose noise hangs together over pixels, unlike at rest.
     """
 
     templates: Templates
     start_px: Pixels
+    bare: BareGround | None = None
     rougher: bool = False
 
     @classmethod
@@ -262,7 +266,7 @@ class DiscFit(SoftWindow):
         """Make the templates of one layer's ``spots``, and take the centres of their fits for the
         rest positions."""
         templates, start = make_templates(
-            picture, signal, spots.spot_px, spots.cut, spots.look.diameter_px, marks
+            picture, signal, spots.spot_px, spots.cut, spots.look.diameter_px
         )
         around = Neighbourhood.of(start, spots.around.spacing_px)
         known = vars(spots) | {"around": around, "start_px": start}
@@ -291,6 +295,7 @@ class DiscFit(SoftWindow):
                 "sd_px": sd,
                 "usual_sd_px": np.sqrt(2.0 * (sd**2 + SD_FLOOR_PX**2) + covered**2),
                 "templates": templates,
+                "bare": BareGround.of(picture, templates, rest_px, marks),
             }
         )
 
@@ -305,7 +310,7 @@ class DiscFit(SoftWindow):
         moved = (blobs.centre_px[spot] if len(blobs) else np.nan) - self.spot_px
         place = np.where((spot >= 0)[:, None], self.start_px + moved, np.nan)
         suited, fitted = self._suited(picture, place)
-        return replace(suited._judged(fitted, state), spurious_px=spurious)
+        return replace(suited._judged(picture, fitted, state), spurious_px=spurious)
 
     def _suited(self, picture: Picture, start_px: Pixels) -> tuple[DiscFit, Floats]:
         """Return the fits of all markers, and what judges them: by what is usual in this picture
@@ -561,7 +566,7 @@ class DiscFit(SoftWindow):
             return None
         nothing = np.full(len(known), MISSING, np.uint8)
         suited, fitted = self._suited(picture, start)
-        seen = suited._judged(fitted, nothing)
+        seen = suited._judged(picture, fitted, nothing)
         shift, sd, state = seen.shift_px, seen.sd_px, seen.state
         expected, certain = self.around.predict(shift)
         with np.errstate(invalid="ignore"):
@@ -571,7 +576,8 @@ class DiscFit(SoftWindow):
             shift[astray & certain] = np.nan
             start = np.full_like(known, np.nan)
             start[again] = self.start_px[again] + expected[again]
-            second = suited._judged(suited._fit(picture, start), nothing)
+            refit = suited._fit(picture, start)
+            second = suited._judged(picture, refit, nothing)
             rows = again[np.hypot(*(second.shift_px[again] - expected[again]).T) < gate]
             kept = np.isfinite(shift[:, 0])
             if kept.any() and len(rows):
@@ -586,7 +592,7 @@ class DiscFit(SoftWindow):
             sd[lost] = np.nan
         return seen if np.isfinite(shift[:, 0]).sum() >= (1.0 - TRUST) * count else None
 
-    def _judged(self, fitted: Floats, state: NDArray[np.uint8]) -> Seen:
+    def _judged(self, picture: Picture, fitted: Floats, state: NDArray[np.uint8]) -> Seen:
         """Return the motion by the accepted fits, and the states of the others."""
         templates, rest_sd = self.templates, self.sd_px
         if self.rougher:  # parts are measured by an edge that is blurred since
@@ -607,10 +613,11 @@ class DiscFit(SoftWindow):
         )
         sd = np.hypot(_centre_sds(fitted, templates.usual_misfit), rest_sd)
         sd[np.isnan(shift[:, 0])] = np.nan
-        factor = templates.ground_coherence
-        if templates.coherent:
-            coherence = _coherence(fitted, templates.third, state == SEEN, sd)
-            factor = max(coherence, factor) if factor > 1.0 else coherence
+        factor = 1.0
+        if templates.coherent or self.bare:
+            factor = _coherence(fitted, templates.third, state == SEEN, sd)
+        if self.bare:
+            factor = max(self.bare.coherence(picture, templates, shift, sd), factor)
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
         more = self._unseen_cut(fitted, sd, factor) + 2.0 * SD_FLOOR_PX**2

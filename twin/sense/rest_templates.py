@@ -15,15 +15,16 @@ belongs to the marker and moves with it; it is used where it is large.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Singles, for_kernel
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kernel
 from twin.sense.centre import Look
-from twin.sense.colour import LUMA, mosaic_sites
+from twin.sense.colour import LUMA, Flaws
 from twin.sense.shape_fit import fit_shapes
 from twin.sense.template import (
     CENTRE,
@@ -90,8 +91,12 @@ WHITE = 1.3
 """Noise that leaves residuals up to so many times as large, squared, as it has in single pixels
 does not hang together over pixels."""
 
-PLACES = 1200
-"""About at how many places of a picture the ground is looked at (`_ground_coherence`)."""
+PLACES, FEW_PLACES = 1200, 100
+"""About at how many places of the rest picture the ground is looked at (`BareGround`), and of later
+ones."""
+
+BESIDE = 3
+"""So many markers move as a place between them does."""
 
 LEAST_FREE = 0.5
 """A place counts where so much of the edge's information is over ground that no marker covers."""
@@ -171,7 +176,7 @@ class LayerSignal:
             for weights, colour in zip(own, colours, strict=True)
         ]
         signals = []
-        mosaic = mosaic_sites(picture)
+        mosaic = Flaws.mosaic_sites(picture)
         for number, (weights, colour) in enumerate(zip(own, colours, strict=True)):
             bright = float(LUMA @ colour)
             in_brightness = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())
@@ -223,7 +228,6 @@ def make_templates(
     spots_px: Pixels,
     cut: Bools,
     diameter_px: float,
-    marks_px: Pixels,
 ) -> tuple[Templates, Pixels]:
     """Make the templates of one layer's markers.
 
@@ -238,8 +242,6 @@ def make_templates(
         outline.
     diameter_px
         About how wide they are.
-    marks_px
-        (q, 2) centres of the markers of all layers, px.
 
     Returns
     -------
@@ -295,7 +297,6 @@ def make_templates(
         level=shape[:, 7].copy(),
         reach_px=reach,
         coherent=False,
-        ground_coherence=1.0,
         rest=unknown,
     )
     # The rest picture fitted by its own templates gives ground, level and the usual misfit.
@@ -310,7 +311,6 @@ def make_templates(
         usual_misfit=max(usual, 1.0),
         level=fitted[:, LEVEL],
         coherent=usual > WHITE,
-        ground_coherence=_ground_coherence(picture, templates, marks_px),
     )
     return settled, np.ascontiguousarray(fitted[:, CENTRE])
 
@@ -489,60 +489,149 @@ def bounded_rms(score: Floats) -> float:
     return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * np.median(score)) ** 2)))
 
 
-def _ground_coherence(picture: Picture, templates: Templates, marks: Pixels) -> float:
-    """Return how many times as large as stated from single pixels' noise the errors of centres are
-    that the ground around the markers ``marks`` (q, 2) causes, at least 1.
+@dataclass(frozen=True, kw_only=True)
+class BareGround:
+    """Places between the markers, where noise and texture of the ground show alone.
 
     The ground's texture, and noise of whole rows, move a fitted centre by a sum of pixels times the
-    edge's slopes, over that of the slopes squared. So that sum is taken where no marker lies: its
-    spread is the error, however the noise hangs together. What varies smoothly over the picture
-    moves markers alike at rest and later.
+    edge's slopes, over that of the slopes squared. So that sum is taken where no marker lies, at
+    rest and later: how it has changed is the error, however the noise hangs together, and whether
+    the texture has moved with the markers or stayed. A marker hides the ground behind it, but not
+    the camera's noise: that changes both where a marker moved from and where it moved to.
+
+    Attributes
+    ----------
+    places_px, moved_px
+        (q, 2) places at rest; (q, 4) how far a marker there would have been moved, px, by the
+        ground around it, and by that behind it too.
+    marks_px
+        (m, 2) markers of all layers at rest, px.
+    near
+        (q + m, `BESIDE`) the nearest markers of the layer: these move as the places and marks do.
     """
-    known = templates.shape[np.isfinite(templates.shape[:, 0])]
-    marks = marks[np.isfinite(marks).all(axis=1)]
-    if not len(known) or not len(marks):
-        return 1.0
-    shape = np.median(known, axis=0)
-    radius, blur = float(np.sqrt(shape[0] * shape[2])), float(shape[6])
-    # Pixels that a marker covers.
+
+    places_px: Pixels
+    moved_px: Floats
+    marks_px: Pixels
+    near: Ints
+
+    @classmethod
+    def of(
+        cls, picture: Picture, templates: Templates, rest_px: Pixels, marks_px: Pixels
+    ) -> BareGround | None:
+        """Return the places of the rest picture, whose markers are at ``rest_px`` (n, 2); None
+        where they show no more than single pixels' noise, or are few."""
+        marks = marks_px[np.isfinite(marks_px).all(axis=1)]
+        own = np.flatnonzero(np.isfinite(rest_px).all(axis=1))
+        if len(own) < BESIDE:
+            return None
+        height, width = picture.shape[:2]
+        reach = math.ceil(templates.reach_px)
+        step = max(int(np.sqrt(height * width / PLACES)), 1)
+        grid = np.mgrid[reach : width - reach : step, reach : height - reach : step]
+        places = grid.reshape(2, -1).T.astype(float)
+        covered = _covered(picture, templates, marks)
+        moved, by_noise = _moved_by_ground(picture, templates, places, covered)
+        known = np.isfinite(moved[:, 0])
+        if known.sum() < QUADRATIC:
+            return None
+        places, moved = places[known], moved[known]
+        if _uneven(moved, places, picture)[1] < WHITE * by_noise[1]:
+            return None
+        few = slice(None, None, math.ceil(len(places) / FEW_PLACES))
+        places, moved = places[few], moved[few]
+        near = cKDTree(rest_px[own]).query(np.concatenate([places, marks]), k=BESIDE)[1]
+        return cls(places_px=places, moved_px=moved, marks_px=marks, near=own[near])
+
+    def coherence(
+        self, picture: Picture, templates: Templates, shift_px: Pixels, sd_px: Floats
+    ) -> float:
+        """Return how many times as large errors of shifts are as the noise of single pixels makes
+        them, ``sd_px`` (n,); at least 1."""
+        if np.isnan(sd_px).all():
+            return 1.0
+        # Where the places, and what covers them, have moved to.
+        beside = shift_px[self.near]
+        number = np.isfinite(beside).sum(axis=1)
+        moved_on = np.nansum(beside, axis=1) / np.where(number > 0, number, np.nan)
+        count = len(self.places_px)
+        covered = _covered(picture, templates, self.marks_px + moved_on[count:])
+        squares = []
+        for places in (self.places_px + moved_on[:count], self.places_px):
+            moved, by_noise = _moved_by_ground(picture, templates, places, covered)
+            change = moved - self.moved_px
+            if np.isfinite(change[:, 0]).sum() < QUADRATIC:
+                change = np.sqrt(2.0) * self.moved_px  # as if the texture were another one
+            square = _uneven(change, self.places_px, picture) - 2.0 * by_noise
+            squares.append(np.fmax(square, 0.0))
+        (there, _), (here, whole) = squares
+        camera = max(whole - here, 0.0) * min(there / max(here, 1e-12), 1.0)
+        return float(np.sqrt(1.0 + (there + camera) / np.nanmedian(sd_px) ** 2))
+
+
+def _uneven(moved: Floats, places: Pixels, picture: Picture) -> Floats:
+    """Return (2,) the mean squares, per axis, of ``moved`` (n, 4) but for what varies smoothly over
+    the picture, which moves markers alike at rest and later."""
+    known = np.isfinite(moved[:, 0])
+    moved, basis = moved[known], slope_terms(places[known], picture.shape)
+    moved = moved - basis @ np.linalg.lstsq(basis, moved, rcond=None)[0]
+    return np.array([bounded_rms(moved[:, axes]) ** 2 for axes in (slice(2), slice(2, 4))])
+
+
+def _covered(picture: Picture, templates: Templates, marks: Pixels) -> Bools:
+    """Return (h, w) which pixels one of the ``marks`` (m, 2) covers."""
     height, width = picture.shape[:2]
-    offset, clear = disc_offsets(radius + blur), disc_offsets(radius + blur + MARGIN_PX)
-    covered = np.zeros((height, width), np.bool_)
-    near = np.rint(marks)[:, None].astype(int) + clear
+    axes = templates.usual_shape
+    clear = disc_offsets(float(np.sqrt(axes[0] * axes[2]) + axes[6]) + MARGIN_PX)
+    near = np.rint(marks[np.isfinite(marks[:, 0])])[:, None].astype(int) + clear
     column, row = near[((near >= 0) & (near < [width, height])).all(axis=2)].T
+    covered = np.zeros((height, width), np.bool_)
     covered[row, column] = True
-    # The slopes of the brightness along x, y and the ground, at every pixel of a marker.
-    far = np.hypot(*offset.T)
-    fall = 1.0 - np.clip((radius - far) / blur, -1.0, 1.0) ** 2
-    edge = 15 / 16 * shape[7] / blur * fall**2
-    slopes = np.column_stack(
-        [edge[:, None] * offset / np.maximum(far, 0.5)[:, None], 1.0 + 0 * far]
-    )
-    # Places between the markers, and the signal there.
-    reach = int(np.abs(offset).max())
-    step = max(int(np.sqrt(height * width / PLACES)), 1)
-    places = np.mgrid[reach : width - reach : step, reach : height - reach : step].reshape(2, -1).T
-    places = places[~covered[places[:, 1], places[:, 0]]]
-    pixels = places[:, None] + offset
-    use = ~covered[pixels[:, :, 1], pixels[:, :, 0]]
-    use &= templates.sites[pixels[:, :, 1] % 2, pixels[:, :, 0] % 2] > 0.0
-    signal = picture[pixels[:, :, 1], pixels[:, :, 0]] @ templates.own[:3].astype(float)
+    return covered
+
+
+def _moved_by_ground(
+    picture: Picture, templates: Templates, places: Pixels, covered: Bools
+) -> tuple[Floats, Floats]:
+    """Return how far the ground moves a usual marker's centre at ``places`` (n, 2), px: (n, 4) by
+    what is around the marker, and by that behind it too; NaN where too much is ``covered`` (h, w).
+    And (2,) the usual variances of that by single pixels' noise."""
+    shape = templates.usual_shape
+    radius, blur = float(np.sqrt(shape[0] * shape[2])), float(shape[6])
+    height, width = picture.shape[:2]
+    offset = disc_offsets(radius + blur)
+    moved, by_noise = np.full((len(places), 4), np.nan), np.zeros(2)
+    # Places of which enough is bare, and the signal there.
+    rows = np.flatnonzero(np.isfinite(places[:, 0]))
+    middle = np.rint(places[rows]).astype(int)
+    reach = np.abs(offset).max()
+    inside = ((middle >= reach) & (middle < np.array([width, height]) - reach)).all(axis=1)
+    rows, middle = rows[inside], middle[inside]
+    column, row = (middle[:, axis, None] + offset[:, axis] for axis in range(2))
+    use = ~covered[row, column] & (templates.sites[row % 2, column % 2] > 0.0)
+    pixels = picture[row, column]
+    signal = sum(pixels[:, :, k] * float(templates.own[k]) for k in range(3))
+    # The slopes of the brightness along x, y and the ground, and the share of it in sight.
+    x, y = (offset[:, axis] + (middle - places[rows])[:, axis, None] for axis in range(2))
+    far = np.sqrt(x * x + y * y)
+    depth = np.clip((radius - far) / blur, -1.0, 1.0)
+    square = depth * depth
+    bare = 0.5 - depth * (15 / 16 - square * (10 / 16 - square * 3 / 16))
+    edge = 15 / 16 * shape[7] / blur * (1.0 - square) ** 2 / np.maximum(far, 0.5)
+    slopes = np.stack([edge * x, edge * y, np.ones_like(x)], axis=1)
     # Least squares at every place: what a marker there would have moved by.
-    products = (slopes[:, :, None] * slopes[:, None, :]).reshape(len(slopes), -1)
-    matrix = (use @ products).reshape(-1, 3, 3)
-    inside = matrix[:, [0, 1], [0, 1]].min(axis=1) > (
-        LEAST_FREE * templates.sites.mean() * products[:, 0].sum()
-    )
-    if inside.sum() < QUADRATIC:
-        return 1.0
-    middle = np.median(signal[inside])
-    right = ((use * (signal - middle)) @ slopes)[inside]
-    inverse = np.linalg.inv(matrix[inside])
-    moved = (inverse @ right[:, :, None])[:, :2, 0]
-    at = places[inside].astype(float)
-    moved -= slope_terms(at, picture.shape) @ _smooth(moved, at, picture.shape).T
-    score = moved / np.sqrt(templates.noise[0] * inverse[:, [0, 1], [0, 1]])
-    square = 0.5 * (bounded_rms(score[:, 0]) ** 2 + bounded_rms(score[:, 1]) ** 2)
-    # half of an edge's pixels have the marker's own noise
-    square = 1.0 + (square - 1.0) * templates.noise[0] / templates.noise.mean()
-    return float(np.sqrt(square)) if square > WHITE else 1.0
+    weighed = slopes * use[:, None]
+    matrix = weighed @ slopes.transpose(0, 2, 1)
+    whole = templates.sites.mean() * (slopes[:, 0] ** 2).sum(axis=1)
+    free = matrix[:, [0, 1], [0, 1]].min(axis=1) > LEAST_FREE * whole
+    if not free.any():
+        return moved, by_noise
+    rows, weighed, signal, bare = rows[free], weighed[free], signal[free], bare[free]
+    matrix = matrix[free]
+    by_pixel = np.linalg.inv(matrix)[:, :2] @ weighed
+    square = (by_pixel * by_pixel).mean(axis=1)
+    signal = signal - ((signal * weighed[:, 2]).sum(axis=1) / matrix[:, 2, 2])[:, None]
+    for k, seen in enumerate((bare, np.ones_like(bare))):
+        moved[rows, 2 * k : 2 * k + 2] = (by_pixel @ (signal * seen)[:, :, None])[:, :, 0]
+        by_noise[k] = templates.noise[0] * np.median((square * seen * seen).sum(axis=1))
+    return moved, by_noise

@@ -623,8 +623,6 @@ class Templates:
         Radius of what is looked at around a marker, px.
     coherent
         Whether residuals at rest are those of noise that hangs together over pixels.
-    ground_coherence
-        How many times as large as from single pixels' noise the errors are that the ground causes.
     rest
         (n, `COLUMNS`) `fit` of the rest picture.
     """
@@ -641,7 +639,6 @@ class Templates:
     level: Floats
     reach_px: float
     coherent: bool
-    ground_coherence: float
     rest: Floats
 
     @property
