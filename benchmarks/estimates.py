@@ -8,12 +8,12 @@ squares, disks and twists at random against `benchmarks.truth`, where NGSolve is
 The shares in `twin.world.elasticity.error_law` were chosen with the given loads in view, and on the finger with 60
 other random ones; the random loads here set nothing.
 
-``python -m benchmarks estimates --friction`` measures spheres with friction at finite strain against a finer mesh, in a
-quarter of an hour.
+``python -m benchmarks estimates --friction`` measures spheres with friction at finite strain against NGSolve and
+against a finer mesh, in a quarter of an hour.
 """
 
+import json
 import math
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from benchmarks.clock import empty_cache
 from benchmarks.elasticity import compliance
 from benchmarks.record import Row, table
 from benchmarks.reference import BODIES, Case, reference
-from benchmarks.truth import COARSE, Quarter, Words, half_space
+from benchmarks.truth import COARSE, FOLDER, Quarter, Words, half_space
 from twin.arrays import Points
 from twin.errors import InputError
 from twin.parts.load import Rectangles, Traction
@@ -36,6 +36,7 @@ from twin.parts.press import Press, Sphere, Step
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
 from twin.world.contact import body_strain
+from twin.world.contact.contact_state import ContactState
 from twin.world.elasticity import correction
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
@@ -221,56 +222,113 @@ def _finer_strain() -> Iterator[None]:
         body_strain._FINE = usual
 
 
-def _rubbed(case: Rubbed) -> Iterator[Row]:
-    """Yield what a sphere with friction leaves out of either step, at places 1 to 3 mm deep; over the largest linear
-    displacement there."""
+def _sensors(scene: str) -> tuple[Sensor, ...]:
     overrides = {"material.youngs_modulus_mpa": 1.0, "tolerance.preset": "none"}
-    sensors = {law: Sensor(load_scene(case.scene, {**overrides, "material.law": law})) for law in LAWS}
+    return tuple(Sensor(load_scene(scene, {**overrides, "material.law": law})) for law in LAWS)
+
+
+def _left(state: ContactState, more: Points, true: Points, size: float) -> Row:
+    """Return how far linear theory and the program are off what large strain adds, over the largest displacement."""
+    off, left = (float(np.linalg.norm(each, axis=1).max()) / size for each in (true, more - true))
+    assert state.error is not None
+    stated = state.error.strain.markers
+    cube = body_strain._RUBS_OVER_CUBE * state.load.strained.linear_error**3
+    return {"linear_off": off, "left": left, "stated": stated, "ratio": stated / left, "without_cube": stated - cube}
+
+
+def _held(state: ContactState, linear: float, got: float, true: float) -> Row:
+    """Return the same of a force or torque that a motion holds."""
+    assert state.error is not None
+    off, left, stated = abs(linear / true - 1.0), abs(got / true - 1.0), state.error.strain.force
+    return {"held_linear_off": off, "held_left": left, "held_stated": stated, "held_ratio": stated / left}
+
+
+def _rubbed(case: Rubbed) -> Iterator[Row]:
+    """Yield what a sphere with friction leaves out of either step, at places 1 to 3 mm deep, against a finer mesh."""
+    sensors = _sensors(case.scene)
     first, then = {"z": case.push_n}, dict(case.then)
     then["force_n"] = first | then.get("force_n", {})
     steps = (Step(force_n=first), Step(**then))
     press_ = Press(probe=Sphere(diameter_mm=case.diameter_mm), friction=case.friction, steps=steps)
-    body = sensors["linear"].nominal.body
+    body = sensors[0].nominal.body
     across = case.diameter_mm / 6.0 * np.array([0.0, 0.75, 1.5, 2.5, 4.0])
     flat = np.array([(s * x, y) for s in (-1, 1) for x in across for y in across])
     top = body.surface_from_above(flat)
     inward = body.piece_normals(top)[:, 0]
     places = np.concatenate([top + deep * inward for deep in (1.0, 1.5, 3.0)])
-    straight = sensors["linear"].press(press_).path
-    begun = time.process_time()
-    path = sensors["neo_hookean"].press(press_).path
-    solved = time.process_time() - begun
+    straight = sensors[0].press(press_).path
+    path = sensors[1].press(press_).path
     with _finer_strain():
-        truth = sensors["neo_hookean"].press(press_).path
+        truth = sensors[1].press(press_).path
     for number, (linear, state, finer) in enumerate(zip(straight, path, truth, strict=True)):
-        size = np.linalg.norm(sensors["linear"].displacement(places, linear), axis=1).max()
+        size = np.linalg.norm(sensors[0].displacement(places, linear), axis=1).max()
         more, true = (one.load.strained.displacement(places) for one in (state, finer))
-        off = float(np.linalg.norm(true, axis=1).max() / size)
-        left = float(np.linalg.norm(more - true, axis=1).max() / size)
-        begun = time.process_time()
-        stated = state.error.strain.markers
-        yield {
+        row = {
             "scene": case.scene,
             "diameter_mm": case.diameter_mm,
             "friction": case.friction,
             "path": f"pressed, {case.push_n:g} N" if number == 0 else f"then {case.then}",
             "slipping": float(np.mean(linear.slip)),
-            "linear_off": off,
-            "left": left,
-            "stated": stated,
-            "ratio": stated / left,
-            "without_cube": stated - body_strain._RUBS_OVER_CUBE * off**3,
-            "unknowns": [one.load.strained._pair.contact.rubber.mesh.unknowns for one in (state, finer)],
-            "seconds": solved if number == 0 else None,
-            "error_seconds": time.process_time() - begun,
+            **_left(state, more, true, size),
         }
+        if number and "move_mm" in case.then:
+            row |= _held(state, *(float(one.force_n[0]) for one in (linear, state, finer)))
+        if number and "turn_deg" in case.then:
+            row |= _held(state, *(one.torque_nmm for one in (linear, state, finer)))
+        yield row
+
+
+def _stored(name: str) -> tuple[dict[str, Any], Points]:
+    found = json.loads((FOLDER / f"{name}.json").read_text())
+    places = np.array(found["places_mm"])
+    return found, np.insert(places, 1, 0.0, axis=1) if places.shape[1] == 2 else places
+
+
+def stuck() -> Iterator[Row]:
+    """Yield the same of a sphere that sticks and is pulled aside, against NGSolve, then moved to where the force took
+    it, against that force."""
+    truth, places = _stored("stuck_neohooke")
+    (_, first), (side, push) = (step["force_n"] for step in truth["steps"])
+    sensors = _sensors("block_bare")
+
+    def paths(then: Step) -> list[tuple[ContactState, ...]]:
+        steps = (Step(force_n=(0.0, 0.0, first)), then)
+        press_ = Press(probe=Sphere(diameter_mm=truth["diameter_mm"]), friction=math.inf, steps=steps)
+        return [sensor.press(press_).path for sensor in sensors]
+
+    _, path = paths(Step(force_n=(side, 0.0, push)))
+    for state, step in zip(path, truth["steps"], strict=True):
+        before, after = np.array(step["linear_mm"]), np.array(step["strained_mm"])
+        more = state.load.strained.displacement(places)
+        row: Row = {"force_n": step["force_n"]}
+        yield row | _left(state, more, after - before, float(np.linalg.norm(before, axis=1).max()))
+    there = Step(force_n=(None, None, push), move_mm=(float(path[1].move_mm[0]), 0.0, None))
+    linear, moved = (one[1] for one in paths(there))
+    yield {"force_n": "by a motion"} | _held(moved, float(linear.force_n[0]), float(moved.force_n[0]), side)
+
+
+def turned() -> Iterator[Row]:
+    """Yield the same of a sphere that is pressed, turned and slips, against NGSolve: of the whole displacement."""
+    truth, places = _stored("twisted_neohooke")
+    steps = tuple(Step(force_n=(None, None, 1.5), turn_deg=turn) for turn in np.diff([0.0, *truth["turns_deg"]]))
+    press_ = Press(probe=Sphere(diameter_mm=truth["diameter_mm"]), friction=truth["friction"], steps=steps)
+    sensors = _sensors("block_bare")
+    straight, path = (sensor.press(press_).path for sensor in sensors)
+    for number, (linear, state, step) in enumerate(zip(straight, path, truth["strained"], strict=True)):
+        moved = np.array(step["moved_mm"]) - sensors[0].displacement(places, linear)
+        size = float(np.linalg.norm(step["moved_mm"], axis=1).max())
+        row: Row = {"turn_deg": truth["turns_deg"][number], "slipping": float(np.mean(linear.slip))}
+        row |= _left(state, state.load.strained.displacement(places), moved, size)
+        if number:
+            row |= _held(state, linear.torque_nmm, state.torque_nmm, step["torque_nmm"])
+        yield row
 
 
 def measure(*, friction: bool = False) -> None:
     """Print the table; with ``friction`` that of spheres with friction at finite strain."""
     if friction:
-        for case in RUBBED:
-            print(table(list(_rubbed(case))), flush=True)
+        for rows in (stuck(), turned(), *(_rubbed(case) for case in RUBBED)):
+            print(table(list(rows)), flush=True)
         return
     rows = [
         _row("block", f"random, nu {nu:g}", "table, truth", of_table(nu))

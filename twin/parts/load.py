@@ -205,8 +205,8 @@ class Load:
     strained
         What linear theory leaves out of the press that they come from; None for a linear one.
     crept
-        The elastic load that moves the body as relaxing rubber moves by now; None where that is
-        this load itself.
+        The elastic load that moves the body as relaxing rubber moves by now, or by linear theory
+        where ``strained`` adds to it; None where that is this load itself.
     probes
         The probes that pictures show.
 

@@ -548,11 +548,12 @@ def _elastic_errors(
         "largest_strain": strain,
         "largest_turn_deg": turn,
     }
-    if not in_time and state is not None and state.load.crept is not None and state.load.terms:
+    crept = None if state is None or state.load.strained is not None else state.load.crept
+    if not in_time and state is not None and crept is not None and state.load.terms:
         # A total force that takes the motion of rubber that relaxes for elastic.
         true, elastic = (
             sum(term.force_n.sum(axis=0) for term in load.terms if isinstance(term, Rectangles))
-            for load in (state.load, state.load.crept)
+            for load in (state.load, crept)
         )
         figures["creep_error"] = float(np.linalg.norm(elastic - true) / np.linalg.norm(true))
     reasons = {}

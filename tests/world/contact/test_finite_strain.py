@@ -395,8 +395,27 @@ def test_sphere_that_sticks_and_is_sheared_is_another_codes():
 
 
 @pytest.mark.slow
+def test_motion_to_where_a_force_took_the_probe_holds_it_by_that_force():
+    """By linear theory it is 7 % less there. The patches carry the whole."""
+    pulled = sheared(STICKY, 0.55)[1][1]
+    aside = twin.Step(force_n=(None, None, 1.5), move_mm=(pulled.move_mm[0], 0.0, None))
+    steps = (twin.Step(force_n=(0.0, 0.0, 1.5)), aside)
+    press = twin.Press(probe=BALL, friction=STICKY, steps=steps)
+    straight, bent = made("linear").press(press), made().press(press)
+    missed, left = (abs(state.force_n[0] / 0.55 - 1.0) for state in (straight, bent))
+    assert left < missed / 10
+    assert bent.force_n[1:] == pytest.approx([0.0, 1.5], abs=5e-3)
+    patches = bent.patches
+    assert patches.total_force_n == pytest.approx(bent.force_n, abs=1e-9)
+    assert np.cross(patches.centre_mm, patches.force_n).sum(axis=0)[2] == pytest.approx(bent.torque_nmm, abs=1e-9)
+    assert bent.traction_mpa * 4.0 * patches.half_mm.prod(axis=1)[:, None] == pytest.approx(patches.force_n)
+    moved = made().displacement(PLACES, bent) - made("linear").displacement(PLACES, straight)
+    assert moved == pytest.approx(bent.load.strained.displacement(PLACES), abs=1e-9)
+
+
+@pytest.mark.slow
 def test_sphere_that_is_turned_and_slips_is_another_codes():
-    """The force along its way is given, and its turn; the torque stays that of linear theory, and that is stated."""
+    """The force along its way is given, and its turn; linear theory's torque is 10 to 15 % off."""
     truth, places = truth_of("twisted_neohooke")
     steps = [twin.Step(force_n=(None, None, 1.5), turn_deg=turn) for turn in np.diff([0.0, *truth["turns_deg"]])]
     press = twin.Press(probe=Sphere(diameter_mm=truth["diameter_mm"]), friction=truth["friction"], steps=steps)
@@ -412,10 +431,9 @@ def test_sphere_that_is_turned_and_slips_is_another_codes():
             assert np.abs(missed[:, 1]).max() < 0.02 * np.abs(wanted[:, 1]).max()
             assert state.slip.mean() == pytest.approx(truth["linear"][number]["slipping"], abs=0.05)
             off = abs(step["torque_nmm"] / state.torque_nmm - 1.0)
-            if law == "linear":
-                assert off < 1e-2
-            else:
-                assert off < state.error.force < 1.3 * off
+            assert off < 1e-2
+            if law == "neo_hookean":
+                assert off < state.error.force < 3.0 * off
 
 
 def sheared(friction, *side, push=1.5, diameter=6.0, name="block_bare"):

@@ -121,14 +121,15 @@ def at_finite_strain(
     """Return the state of a press, and of every step of its path, with what linear theory leaves
     out.
 
-    Loads and the pressures of patches stay those of the linear solution, on the undeformed surface;
+    The pressures of patches stay those of the linear solution, on the undeformed surface, and so do
+    their forces but for what motions hold a probe with more (`FiniteStrain.more_force_n`);
     `Load.strained` is the difference. ``judge`` is called with every estimated error; ``solve``
     returns the linear solution of another press; the others are those of `SlabStrain`, with what
     it raises, and `BodyStrain`. A ContactError has the state before the step that fails. States
     that a ``memory`` has are not solved again, unless a path with friction needs another mesh.
     """
-    axes = Approach.of_press(press, body).axes
-    controls = press.in_own_axes(axes)
+    approach = Approach.of_press(press, body)
+    controls = press.in_own_axes(approach.axes)
     path: list[ContactState] = []
     more: FiniteStrain | None = None
     memory = PathMemory() if memory is None else memory
@@ -148,7 +149,7 @@ def at_finite_strain(
         before = more if press.friction else None
         try:
             more = _strain_of(press, body, material, one, watched, like=before, path=state.path)
-            found = _Found(one, more, 0.0, axes)
+            found = _Found(one, more, 0.0, approach)
             if not by_force[Z]:
                 found = _held_by_motion(found, press, body, material, watched, solve)
         except ContactError as problem:
@@ -170,7 +171,7 @@ class _Found:
     linear: ContactState
     more: FiniteStrain  # what that leaves out
     stiffening: float  # d ln force / d ln indentation where a motion holds the probe, else 0
-    axes: Floats  # (3, 3) the probe's own
+    approach: Approach
 
     @property
     def deep_mm(self) -> float:
@@ -179,7 +180,7 @@ class _Found:
     @property
     def force_n(self) -> float:
         """The force along the probe's way."""
-        return float(self.axes[Z] @ self.linear.force_n)
+        return float(self.approach.axes[Z] @ self.linear.force_n)
 
     @property
     def within(self) -> float:
@@ -200,7 +201,7 @@ def _held_by_motion(
     Secant steps of the logarithms: under most probes force is nearly a power of the indentation.
     """
     held = found.linear
-    x, y, _ = found.axes @ held.move_mm
+    x, y, _ = found.approach.axes @ held.move_mm
     stiffening = 1.5
     for _ in range(_FORCES):
         aside = math.log(held.indentation_mm / found.deep_mm)
@@ -212,7 +213,7 @@ def _held_by_motion(
         one = Press(probe=press.probe, axes="probe", steps=(step,), **place)
         linear = solve(one).path[-1]
         more = _strain_of(one, body, material, linear, watched, like=found.more)
-        after = _Found(linear, more, stiffening, found.axes)
+        after = _Found(linear, more, stiffening, found.approach)
         if abs(aside) > 10.0 * found.within:
             gained = math.log(after.deep_mm / found.deep_mm)
             stiffening = float(np.clip(stiffening * aside / gained, 0.5, 4.0))
@@ -250,7 +251,7 @@ def _strained(
 
     if found.stiffening:
         what = "force"
-        change = 100 * (found.force_n / float(found.axes[Z] @ asked.force_n) - 1.0)
+        change = 100 * (found.force_n / float(found.approach.axes[Z] @ asked.force_n) - 1.0)
     else:
         what = "indentation"
         change = 100 * more.indentation_mm / state.indentation_mm
@@ -264,11 +265,35 @@ def _strained(
         for number, (other, axes) in enumerate(zip(state.also, more.axes[1:], strict=True), start=1)
     )
     return replace(
-        _moved(state, more.moved[0], float(more.wider[0]), found.axes),
+        _pushed(
+            _moved(state, more.moved[0], float(more.wider[0]), found.approach.axes),
+            more,
+            found.approach,
+        ),
         also=also,
-        load=replace(state.load, strained=more),
         validity=_measured(state.validity, more, note),
         estimate=estimate,
+    )
+
+
+def _pushed(state: ContactState, more: FiniteStrain, approach: Approach) -> ContactState:
+    """Return a state under the forces that hold it; the linear ones move the rubber with what they
+    leave out."""
+    load = replace(state.load, strained=more)
+    patches = state.patches
+    assert patches is not None
+    force = more.more_force_n(patches)
+    if not force.any():
+        return replace(state, load=load)
+    torques = np.cross(patches.centre_mm - approach.axis_mm, force).sum(axis=0)
+    under = replace(patches, force_n=patches.force_n + force)
+    return replace(
+        state,
+        load=replace(load, terms=(under,), crept=state.load),
+        force_n=state.force_n + force.sum(axis=0),
+        torques_nmm=state.torques_nmm + torques,
+        torque_nmm=state.torque_nmm + float(torques @ approach.axes[Z]),
+        traction_mpa=state.traction_mpa + force / (4.0 * patches.half_mm.prod(axis=1)[:, None]),
     )
 
 

@@ -42,6 +42,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
 from twin.parts.body import Block, Body
+from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.press import Cone, Cylinder, Press, Sphere
 from twin.world.contact.contact_state import ContactState, Share
@@ -197,6 +198,10 @@ class FiniteStrain:
         """Return (n, 3, 3) what to add to the gradients du_i/dx_j."""
         return self._pair.read(points, self._pair.change)[1]
 
+    def more_force_n(self, patches: Rectangles) -> Floats:
+        """Return (k, 3) what to add to the forces of the first probe's patches."""
+        return np.zeros_like(patches.force_n)
+
     @cached_property
     def linear_error(self) -> float:
         """How far linear theory is off at the watched points, over the largest displacement."""
@@ -207,9 +212,13 @@ class FiniteStrain:
         return MixedRubber.largest(self._pair.read(self._watched, self._pair.linear_mm)[0])
 
     @cached_property
+    def _coarser(self) -> FiniteStrain.Solutions:
+        return self._solve(True)
+
+    @cached_property
     def error(self) -> Share:
         """How far this may be off, over the linear displacement: what a coarser mesh changes."""
-        other = self._solve(True)
+        other = self._coarser
         missed = other.read(self._watched, other.change)[0] - self.displacement(self._watched)
         deep = np.array([one.indentation_mm for one in (self._state, *self._state.also)])
         sunk = float(np.max(np.abs((other.moved - self.moved)[:, Z]) / deep))
