@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import gc
 import hashlib
-import json
 import os
 import re
 import sys
@@ -20,12 +19,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from cyclopts import Parameter, Token
 
-from twin.errors import InputError, MissingCapability, RecipeError, SomeFailed, did_you_mean
-from twin.parts.methods import Method, WeightRule
+from twin.errors import InputError, MissingCapability, RecipeError, SomeFailed
+from twin.parts.methods import WANTED, Method, WeightRule
 
 if TYPE_CHECKING:
     from twin.arrays import Progress
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
 _Output = Iterator[str | tuple[str, Mapping[str, Any]]]
 
 PAGES = (".html", ".htm")
-WANTED = ("displacement", "picture", "tracking", "forces", "score", "report")
 
 MOST_SAMPLES = 1_000_000_000
 """Years of work, and a plan that still fits into memory."""
@@ -255,12 +253,7 @@ def run(
     gc.set_threshold(10_000, 50, 10)
     from twin.study.recipe import find_scene
 
-    known = ", ".join(WANTED)
-    wanted = _listed("--want", want, f"any of {known}") or list(WANTED)
-    for name in wanted:
-        if name not in WANTED:
-            hint = did_you_mean(name, WANTED, f"allowed are {known}")
-            raise InputError(f"--want {name}: unknown; {hint}")
+    wanted = _listed("--want", want, f"any of {', '.join(WANTED)}") or WANTED
     path = find_scene(scene)
     loaded = _load(scene, set_)
     folder = out or Path("out") / _file_name(path, set_)
@@ -271,44 +264,24 @@ def run(
         with _scene_named(scene):
             yield film_to_folder(loaded, folder, _progress(), h264=h264), {"folder": str(folder)}
         return
+    from twin.results import RunResult
     from twin.study.run import run_to_folder
 
     if open_ and "report" not in wanted:
         raise InputError("--open: --want leaves the report out; add report to it")
     try:
         with _scene_named(scene):
-            text = run_to_folder(loaded, folder, frozenset(wanted), progress=_progress())
+            text = run_to_folder(loaded, folder, wanted, progress=_progress())
     except SomeFailed:
-        yield "", _run_files(folder)
+        yield "", RunResult.on_disk(folder)
         raise
-    yield text, _run_files(folder)
+    yield text, RunResult.on_disk(folder)
     if open_:
         import webbrowser
 
         page = folder / "report.html"
         if not webbrowser.open(page.resolve().as_uri()):
             print(f"twin: no browser found here; open {page} yourself", file=sys.stderr)
-
-
-def _run_files(folder: Path) -> dict[str, Any]:
-    """Return the files of a run by name, its score and its seconds by stage."""
-    from twin.results import RESULT_FILES
-
-    files = {name: str(folder / name) for name in RESULT_FILES if (folder / name).is_file()}
-    read = {name: _json_of(folder / f"{name}.json") for name in ("score", "timings")}
-    return {"folder": str(folder), "files": files, **read}
-
-
-def _json_of(path: Path) -> Any:
-    """Return what a JSON file holds; None where there is none."""
-    if not path.is_file():
-        return None
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as problem:
-        raise InputError(
-            f"{path}: can't be read as JSON ({problem}); give what twin run wrote"
-        ) from None
 
 
 def explain(
@@ -324,18 +297,12 @@ def explain(
     twin explain out/kamiyama_pillar/score.json
     twin explain out/gelpad_press --json
     """
+    from twin.results import RunResult
     from twin.show.explain import explain as findings_of
 
-    file = path / "score.json" if path.is_dir() else path
-    score = _json_of(file)
-    if not isinstance(score, dict) or not {"elastic", "tracking", "force"} <= score.keys():
-        what = "there is no such file" if score is None else "is no score.json"
-        raise InputError(f"{file}: {what}; give the score.json of a run, or the run's folder")
-    scene = file.parent / "scene.toml"
-    text = scene.read_text(encoding="utf-8") if scene.is_file() else ""
-    found = findings_of(score, text)
+    found = findings_of(*RunResult.scored(path))
     if not found:
-        raise InputError(f"{file}: holds no number of a run; compute one with --want score")
+        raise InputError(f"{path}: holds no number of a run; compute one with --want score")
     yield from ((one.line(), asdict(one)) for one in found)
 
 
@@ -570,10 +537,11 @@ def view(
     twin view kamiyama_shear --window
     """
 
-    # A dataset has a page of its own.
+    # A dataset has a page of its own, and so has a surface.
     folder = Path(path)
     is_dataset = (folder / "meta" / "info.json").is_file()
-    if window and (out is not None or is_dataset):
+    is_surface = folder.suffix.lower() == ".stl"
+    if window and (out is not None or is_dataset or is_surface):
         raise InputError(
             "--window shows a scene or a run's folder, and writes nothing: leave --out, or "
             "--window, away"
@@ -590,21 +558,21 @@ def view(
     from twin.study.sensor import Sensor
     from twin.study.view import body_view, surface_view
 
-    if folder.suffix.lower() == ".stl":
+    if is_surface:
         page = out or Path(f"{folder.stem}.html")
-        if window or page.suffix.lower() not in PAGES:
-            raise InputError(f"{path}: an STL file gives a page, --out NAME.html, and no window")
+        if page.suffix.lower() not in PAGES:
+            raise InputError(f"{path}: an STL file gives a page, --out NAME.html")
         write_whole(page, surface_view(folder).page().encode())
         line = f"written to {page}; open it in a browser and click what is pressed or held"
         yield line, {"file": str(page)}
         return
     # The page of a run goes into the run's folder, that of a scene into the current one.
-    if folder.is_dir() and not (folder / "scene.toml").is_file():
-        raise InputError(
-            f"{path}: holds neither scene.toml (of a run) nor meta/info.json (of a dataset)"
-        )
     if folder.is_dir():
-        page = out or folder / "view.html"
+        if not (folder / "scene.toml").is_file():
+            raise InputError(
+                f"{path}: holds neither scene.toml (of a run) nor meta/info.json (of a dataset)"
+            )
+        path, page = str(folder / "scene.toml"), out or folder / "view.html"
     else:
         page = out or Path(f"{_file_name(find_scene(path), set_)}.html")
     if page.suffix.lower() not in {*PAGES, *FILMS}:
@@ -612,7 +580,7 @@ def view(
             f"--out {page}: allowed are .html for a page, {', '.join(FILMS)} for a film"
         )
     # Show the body in a window, or write the page or the film.
-    scene = _load(str(folder / "scene.toml") if folder.is_dir() else path, set_)
+    scene = _load(path, set_)
     bar = _progress()
     sensor = Sensor(scene, bar)
     if window:
@@ -820,17 +788,10 @@ def reconstruct(
 
 
 def _weight(text: str) -> float | WeightRule:
-    if text in get_args(WeightRule):
-        return cast(WeightRule, text)
     try:
-        number = float(text)
+        return float(text)
     except ValueError:
-        number = -1.0
-    if not 0 <= number < float("inf"):
-        raise InputError(
-            f"--weight {text}: must be a number >= 0 of px2/N2, or auto, likelihood or gcv"
-        )
-    return number
+        return cast(WeightRule, text)
 
 
 _DEFAULT = _Batch()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -319,6 +320,40 @@ class RunResult:
                 f"--out {folder}: holds {', '.join(there)}, which no run wrote (there is no "
                 f"{MARK}), and which would be replaced; give another folder"
             )
+
+    @staticmethod
+    def on_disk(folder: Path) -> dict[str, Any]:
+        """Return the files of a run by name, its score and its seconds by stage (None without)."""
+        files = {name: str(folder / name) for name in RESULT_FILES if (folder / name).is_file()}
+        read = {
+            name: json.loads(Path(files[f"{name}.json"]).read_text(encoding="utf-8"))
+            if f"{name}.json" in files
+            else None
+            for name in ("score", "timings")
+        }
+        return {"folder": str(folder), "files": files, **read}
+
+    @staticmethod
+    def scored(path: Path) -> tuple[dict[str, Any], str]:
+        """Return the score of a run, by its file or the run's folder, and its scene's text.
+
+        Raises
+        ------
+        InputError
+            There is none, or it can't be read.
+        """
+        file = path / "score.json" if path.is_dir() else path
+        remedy = "give the score.json of a run, or the run's folder"
+        if not file.is_file():
+            raise InputError(f"{file}: there is no such file; {remedy}")
+        try:
+            score = json.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as problem:
+            raise InputError(f"{file}: can't be read as JSON ({problem}); {remedy}") from None
+        if not isinstance(score, dict) or not {"elastic", "tracking", "force"} <= score.keys():
+            raise InputError(f"{file}: is no score.json; {remedy}")
+        scene = file.parent / "scene.toml"
+        return score, scene.read_text(encoding="utf-8") if scene.is_file() else ""
 
     def write(self, folder: Path) -> None:
         """Write all files but the report into ``folder``, and remove those of an earlier run.

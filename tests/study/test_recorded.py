@@ -362,7 +362,7 @@ def test_overlay_pictures(folder):
         (["rest.png", "press1.png", "--calibration", "flat.npz", "--out", "f.xls"], 2, ".parquet"),
         (["rest.png", "press1.png", "--calibration", "none.npz"], 2, "does not exist"),
         (["none.png", "press1.png", "--calibration", "flat.npz"], 2, "no such picture"),
-        (["press1.png", "press1.png", "--calibration", "flat.npz", "--weight", "much"], 2, "--weight"),
+        (["press1.png", "press1.png", "--calibration", "flat.npz", "--weight", "much"], 2, "weight = 'much': allowed"),
         (["rest.png", "press1.png", "--calibration", "flat.npz", "--method", "best"], 2, "method"),
         (["rest.png", "press1.png", "--calibration", "flat.npz", "--frames-per-second", "30"], 2, "how its rubber"),
         (["rest.png", "press1.png", "--calibration", "flat.npz", "--frames-per-second", "-1"], 2, "above 0"),

@@ -57,6 +57,20 @@ class BodyView:
         traction_mpa: Floats
         slip: Bools
 
+        @classmethod
+        def still(cls, name: str, said: str, corners: int, markers: int) -> BodyView.Frame:
+            """Return a state in which nothing moves or touches."""
+            return cls(
+                name=name,
+                said=said,
+                displacement_mm=np.zeros((corners, 3)),
+                marker_displacement_mm=np.zeros((markers, 3)),
+                patch_mm=np.zeros((0, 4, 3)),
+                patch_displacement_mm=np.zeros((0, 3)),
+                traction_mpa=np.zeros((0, 3)),
+                slip=np.zeros(0, bool),
+            )
+
     title: str
     corner_mm: Points
     triangle: Ints

@@ -356,11 +356,8 @@ def _flat(key: str, value: Any) -> list[tuple[str, Any]]:
     None."""
     if isinstance(value, Mapping):
         return [row for k, v in value.items() for row in _flat(f"{key}.{k}", v)]
-    if isinstance(value, list | tuple | np.ndarray):
-        return [(key, value if finite(value) is not None else None)]
-    if isinstance(value, float | np.floating) and finite(value) is None:
-        return [(key, None)]
-    return [(key, value)]
+    numbers = isinstance(value, list | tuple | np.ndarray | float | np.floating)
+    return [(key, None if numbers and finite(value) is None else value)]
 
 
 def _reason(reasons: Mapping[str, Any], key: str) -> str:
@@ -911,17 +908,13 @@ def _pressure(one: RunResult.Touch) -> str:
     return figure(svg, f"Pressure of each patch.{keys}")
 
 
-_STYLES = {"red": "red", "blue": "blue"}
-"""Layers that are named after their colour; others take the remaining styles in turn."""
-
-
 def _layers(names: np.ndarray) -> list[tuple[str, str, Bools]]:
-    """Return name, style and mask of every layer, in their order of appearance."""
-    spare = ["blue", "red", "other"]
+    """Return name, style and mask of every layer, in their order of appearance: layers that are
+    named after their colour have its style, others take the remaining styles in turn."""
     ordered = list(dict.fromkeys(names.tolist()))
-    taken = {_STYLES[n] for n in ordered if n in _STYLES}
-    rest = iter([s for s in spare if s not in taken] + ["other"] * len(ordered))
-    return [(str(n), _STYLES.get(n) or next(rest), names == n) for n in ordered]
+    spare = iter([s for s in ("blue", "red") if s not in ordered] + ["other"] * len(ordered))
+    own = ("red", "blue")
+    return [(str(n), str(n) if n in own else next(spare), names == n) for n in ordered]
 
 
 def _scale_note(scale: float, size: float, unit: str, directions: str) -> str:

@@ -36,7 +36,6 @@ from twin.theory.contact import hertz
 from twin.theory.optics import project_with_jacobian
 
 if TYPE_CHECKING:
-    from twin.parts.load import Rectangles
     from twin.parts.scene import Sites
     from twin.sense.calibration import Calibration
     from twin.sense.fit_design import Presses

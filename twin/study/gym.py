@@ -89,19 +89,15 @@ class TactileEnv(gymnasium.Env[dict[str, np.ndarray], Floats]):  # type: ignore[
             )
         begin = self._live.start()
         question = {**begin.question(), **dict(zip(ACTION, map(float, given), strict=True))}
+        worth, more = 0.0, {}
         try:
             press = Hand.of(question, by_motion=begin.by_motion).press(self._live.moved)
             self._last = self._live.environment.step(press)
         except TwinError as problem:
-            return (
-                _arrays(self._last),
-                0.0,
-                False,
-                False,
-                {**_told(self._last), "problem": str(problem)},
-            )
-        worth = 0.0 if self._reward is None else float(self._reward(self._last))
-        return _arrays(self._last), worth, False, False, _told(self._last)
+            more = {"problem": str(problem)}
+        else:
+            worth = 0.0 if self._reward is None else float(self._reward(self._last))
+        return _arrays(self._last), worth, False, False, _told(self._last) | more
 
 
 def _arrays(seen: Observation) -> dict[str, np.ndarray]:

@@ -410,16 +410,14 @@ class _Loopback:
         try:
             while True:
                 question, reply = self._jobs.get()
-                reply.put(self._worked_out(question))
+                try:
+                    reply.put((200, "application/octet-stream", self._answer(question)))
+                except TwinError as problem:
+                    text = json.dumps({"problem": str(problem)}).encode()
+                    reply.put((422, "application/json", text))
         finally:
             self._server.shutdown()
             self._server.server_close()
-
-    def _worked_out(self, question: dict[str, Any]) -> tuple[int, str, bytes]:
-        try:
-            return 200, "application/octet-stream", self._answer(question)
-        except TwinError as problem:
-            return 422, "application/json", json.dumps({"problem": str(problem)}).encode()
 
 
 class _Server(ThreadingHTTPServer):

@@ -493,13 +493,13 @@ def _range(keys: list[Any], table: Mapping[str, Any], unit: str) -> str:
     field = _field_at(keys, table)
     if field is None:
         return ""
-    low = high = None
     rules = [*field.metadata, *_rules_of_members(field.annotation)]
-    for rule in rules:
-        low = getattr(rule, "gt", None) if low is None else low
-        low = getattr(rule, "ge", None) if low is None else low
-        high = getattr(rule, "lt", None) if high is None else high
-        high = getattr(rule, "le", None) if high is None else high
+    low, high = (
+        next(
+            (v for rule in rules for n in names if (v := getattr(rule, n, None)) is not None), None
+        )
+        for names in (("gt", "ge"), ("lt", "le"))
+    )
     if low is None or high is None:
         return ""
     words = [f"'{word}'" for word in _words(field.annotation)]

@@ -31,9 +31,10 @@ import numpy as np
 from twin.arrays import Floats, Picture, Pixels, Progress
 from twin.blas_threads import one_blas_thread
 from twin.compiled import COMPILING
-from twin.errors import ContactError, InputError, RecipeError, SomeFailed
+from twin.errors import ContactError, InputError, RecipeError, SomeFailed, did_you_mean
 from twin.files import make_folder, write_whole
 from twin.parts.load import Rectangles
+from twin.parts.methods import WANTED
 from twin.parts.press import Cylinder, Press, Sphere
 from twin.parts.scene import Scene
 from twin.results import Estimate, RunResult, Truth
@@ -53,8 +54,6 @@ UNOCCLUDED = 0.98
 
 FEW = 0.5
 """Share of found markers below which a run warns, as for a recorded frame."""
-
-WANTED = frozenset({"displacement", "picture", "tracking", "forces", "score", "report"})
 
 _STAGES = {
     "design": "displacement",
@@ -124,7 +123,7 @@ def run(
         scene = load_scene(scene, overrides)
     elif overrides:
         raise InputError("overrides belong to a scene's name or path: give them to load_scene")
-    wanted = frozenset(want) if want is not None else WANTED
+    wanted = frozenset(WANTED if want is None else want)
     return _only(_computed(*_checked(scene, wanted, want is not None, progress)), wanted)
 
 
@@ -141,7 +140,7 @@ def run_to_folder(
         found no markers or no forces in the pictures: the other files are complete.
     """
     wanted = frozenset(want)
-    sensor, needed = _checked(scene, wanted, wanted != WANTED, progress)
+    sensor, needed = _checked(scene, wanted, wanted != frozenset(WANTED), progress)
     make_folder(folder)
     RunResult.refuse_other_files(folder)
     with COMPILING.compiled_ahead("twin.sense.compile_ahead" if "tracking" in needed else ""):
@@ -174,10 +173,9 @@ def _checked(
 ) -> tuple[Sensor, frozenset[str]]:
     """Return the sensor and the parts that are needed; ``by_name``: the scene must have all that is
     wanted."""
-    if unknown := sorted(wanted - WANTED):
-        raise RecipeError(
-            f"want: unknown {', '.join(unknown)}; allowed are {', '.join(sorted(WANTED))}"
-        )
+    for name in sorted(wanted.difference(WANTED)):
+        hint = did_you_mean(name, WANTED, f"allowed are {', '.join(WANTED)}")
+        raise InputError(f"want = '{name}': unknown; {hint}")
     sensor = Sensor(scene, progress)
     needed = _needed(scene, wanted, by_name)
     sensor.actual  # noqa: B018  refuses a marker outside the body
@@ -472,15 +470,13 @@ def _with_outlines(sensor: Sensor, truth: Truth, motion: Motion) -> Truth:
 def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
     if found is None:
         return None
-    none = np.zeros(0)
-    nothing = np.zeros((0, 3))
     return Estimate(
         marker_rest_px=found.rest_px,
         marker_shift_px=found.shift_px,
-        site_mm=forces.site_mm if forces is not None else nothing,
-        force_n=forces.force_n if forces is not None else nothing,
-        total_force_n=forces.total_force_n if forces is not None else none,
-        total_torque_nmm=forces.total_torque_nmm if forces is not None else none,
+        site_mm=getattr(forces, "site_mm", np.zeros((0, 3))),
+        force_n=getattr(forces, "force_n", np.zeros((0, 3))),
+        total_force_n=getattr(forces, "total_force_n", np.zeros(0)),
+        total_torque_nmm=getattr(forces, "total_torque_nmm", np.zeros(0)),
     )
 
 

@@ -354,16 +354,13 @@ class Sensor:
         found = self.ladder.displacement(points, rectangles)
         self._warn_if_inaccurate(found.error)
         compliance = found.compliance
-        more = self._strained(load)
         passive = Motion(
             displacement_mm=found.displacement_mm,
             gradient=compliance.gradient(points, rectangles),
             error=found.error,
             cover=self._scenery(load, compliance, rectangles),
         )
-        return self._with_stiff_beads(
-            _with(more, points, passive), lambda p: compliance.displacement(p, rectangles)
-        )
+        return self._completed(passive, load, lambda p: compliance.displacement(p, rectangles))
 
     def _scenery(
         self, load: Load, compliance: Compliance | CoveredCompliance, rectangles: Rectangles
@@ -403,7 +400,6 @@ class Sensor:
         gather
             Whether patches may be gathered.
         """
-        from twin.parts.load import Rectangles
         from twin.world.elasticity.discretise import gathered
 
         points = self.actual.markers.points
@@ -418,9 +414,8 @@ class Sensor:
             gradient = self.compliance.gradient(points, whole)
         cover = self._scenery(load, self.compliance, whole) if pictured else None
         passive = Motion(displacement_mm=moved, gradient=gradient, error=error, cover=cover)
-        return self._with_stiff_beads(
-            _with(self._strained(load), points, passive),
-            lambda p: self.compliance.displacement(p, gathered(p, whole)),
+        return self._completed(
+            passive, load, lambda p: self.compliance.displacement(p, gathered(p, whole))
         )
 
     @cached_property
@@ -432,8 +427,16 @@ class Sensor:
 
         return StiffBeads.of(self.actual.markers, self.actual.scene.markers)
 
-    def _with_stiff_beads(self, passive: Motion, field: Callable[[Points], Points]) -> Motion:
-        """Add the interaction of rigid beads to the motion that the rubber's ``field`` causes."""
+    def _completed(self, passive: Motion, load: Load, field: Callable[[Points], Points]) -> Motion:
+        """Add what linear theory leaves out to the motion that the rubber's ``field`` causes, and
+        the interaction of rigid beads."""
+        if (more := self._strained(load)) is not None:
+            points = self.actual.markers.points
+            passive = replace(
+                passive,
+                displacement_mm=passive.displacement_mm + more.displacement(points),
+                gradient=passive.gradient + more.gradient(points),
+            )
         beads = self.stiff_beads
         if beads is None or not passive.displacement_mm.any():
             return passive
@@ -778,17 +781,6 @@ class Sensor:
         return Rectangles.on_surface(
             self.nominal.body, grid.chart(), grid.pitch_mm / 2, "reconstruction.sites"
         )
-
-
-def _with(more: Load.Strained | None, points: Points, motion: Motion) -> Motion:
-    """Return a motion of points (n, 3) with what linear theory leaves out of it."""
-    if more is None:
-        return motion
-    return replace(
-        motion,
-        displacement_mm=motion.displacement_mm + more.displacement(points),
-        gradient=motion.gradient + more.gradient(points),
-    )
 
 
 def _load_of(load: Load | ContactState) -> Load:

@@ -58,29 +58,19 @@ def surface_view(file: Path) -> BodyView:
     from twin.geometry.closed import Surface
 
     surface = Surface.read(str(file))
-    none = np.zeros((0, 3))
-    size = np.ptp(surface.vertices, axis=0)
-    extent = " x ".join(f"{side:.4g}" for side in size)
-    still = BodyView.Frame(
-        name="as in the file",
-        said=f"{extent} mm along x, y and z; -z is up. Click a face (a curved one in "
-        "its middle), or turn it to the middle and press Enter: what picks it in a recipe is "
-        "printed here.",
-        displacement_mm=np.zeros_like(surface.vertices),
-        marker_displacement_mm=none,
-        patch_mm=np.zeros((0, 4, 3)),
-        patch_displacement_mm=none,
-        traction_mpa=none,
-        slip=np.zeros(0, bool),
+    extent = " x ".join(f"{side:.4g}" for side in np.ptp(surface.vertices, axis=0))
+    said = (
+        f"{extent} mm along x, y and z; -z is up. Click a face (a curved one in its middle), or "
+        "turn it to the middle and press Enter: what picks it in a recipe is printed here."
     )
     return BodyView(
         title=file.name,
         corner_mm=surface.vertices,
         triangle=surface.triangles,
-        marker_mm=none,
+        marker_mm=np.zeros((0, 3)),
         marker_layer=np.zeros(0, str),
         layer_radius_mm={},
-        frames=(still,),
+        frames=(BodyView.Frame.still("as in the file", said, len(surface.vertices), 0),),
         picking=True,
     )
 
@@ -151,16 +141,7 @@ def _frame(
     sensor: Sensor, corners: Points, number: int, state: ContactState | None
 ) -> BodyView.Frame:
     markers = sensor.actual.markers.points
-    rest = BodyView.Frame(
-        name="rest",
-        said="At rest.",
-        displacement_mm=np.zeros_like(corners),
-        marker_displacement_mm=np.zeros_like(markers),
-        patch_mm=np.zeros((0, 4, 3)),
-        patch_displacement_mm=np.zeros((0, 3)),
-        traction_mpa=np.zeros((0, 3)),
-        slip=np.zeros(0, bool),
-    )
+    rest = BodyView.Frame.still("rest", "At rest.", len(corners), len(markers))
     if state is None:
         return rest
     if not state.load.moving.terms:

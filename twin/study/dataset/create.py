@@ -149,7 +149,17 @@ def _made(
         bad, first = _failures(plan, places)
         failed = len(bad)
         reason = reason or first
-        _finish(plan, places, job, bad, pool, whole, progress)
+        # Compute some samples again; write the card, the Croissant metadata and the checksums, of
+        # shards as they were written, which later damage does not change.
+        kept = places.meta / "audit.json"
+        found: dict[str, Any] = json.loads(kept.read_text()) if kept.is_file() else {}
+        if found.get("of") != plan.samples:
+            found = {"of": plan.samples, **audit(plan, job, bad, pool, progress)}
+            write_json(kept, found)
+        write_whole(places.folder / "README.md", _card_text(plan, places, found, failed).encode())
+        write_json(places.folder / "croissant.json", _croissant(plan))
+        _write_list(places.sums, places.sums_of_files(whole))
+        places.written.unlink(missing_ok=True)
     if progress is not None:
         progress("done", 1.0)
     return _Outcome(
@@ -243,36 +253,7 @@ def _failures(plan: Plan, places: Places) -> tuple[set[int], str]:
     return failed, reason
 
 
-def _finish(
-    plan: Plan,
-    places: Places,
-    job: Job,
-    failed: set[int],
-    pool: Pool,
-    written: Mapping[str, str],
-    progress: Progress | None,
-) -> None:
-    """Compute some samples again, and write the card, the Croissant metadata and the checksums.
-
-    ``written`` are the shards' checksums as they were written, which later damage does not change.
-    """
-    kept = places.meta / "audit.json"
-    found: dict[str, Any] = json.loads(kept.read_text()) if kept.is_file() else {}
-    if found.get("of") != plan.samples:
-        found = {"of": plan.samples, **audit(plan, job, failed, pool, progress)}
-        write_json(kept, found)
-    _write_card(plan, places, found, len(failed))
-    _write_list(places.sums, places.sums_of_files(written))
-    places.written.unlink(missing_ok=True)
-
-
 _LICENCE = "https://creativecommons.org/publicdomain/zero/1.0/"
-
-
-def _write_card(plan: Plan, places: Places, audit: dict[str, Any], failed: int) -> None:
-    """Write the dataset's card (README.md) and its Croissant metadata."""
-    write_whole(places.folder / "README.md", _card_text(plan, places, audit, failed).encode())
-    write_json(places.folder / "croissant.json", _croissant(plan))
 
 
 def _card_text(plan: Plan, places: Places, audit: dict[str, Any], failed: int) -> str:

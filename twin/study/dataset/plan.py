@@ -1,10 +1,11 @@
-"""What a dataset is: the scene, its shards and _draws, the places of its files, and their sums."""
+"""What a dataset is: the scene, its shards and draws, the places of its files, and their sums."""
 
 from __future__ import annotations
 
 import json
 import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
@@ -119,9 +120,8 @@ class Plan:
     @cached_property
     def sensor_columns(self) -> tuple[Column, ...]:
         """The columns of the sensors table."""
-        needs = {need for column in self.columns for need in column.needs}
-        found = [column for column in SENSOR if _available(column, self.scene, needs)]
-        if "picture" in needs:
+        found = [column for column in SENSOR if _available(column, self.scene, self.needs)]
+        if "picture" in self.needs:
             found += [
                 Column(f"picture_{group}", "png", f"CCD picture at rest, lit by group {group}")
                 for group in range(1, len(self.scene.imaging[1].lit))
@@ -157,16 +157,11 @@ class Plan:
 
     def press_values(self, samples: range) -> list[Table]:
         """Return what is drawn for the samples, by dotted key."""
-        sampling = self.scene.dataset.sampling
-        seed = self.scene.seed
-        return _draws(self.press_axes, seed, Purpose.SAMPLING, sampling, samples)
+        return _draws(self.press_axes, self.scene, Purpose.SAMPLING, samples)
 
     def sensor_values(self, sensors: range) -> list[Table]:
         """Return what is drawn for the sensors, by dotted key."""
-        sampling = self.scene.dataset.sampling
-        seed = self.scene.seed
-        axes, others = self.sensor_axes, self.press_axes
-        return _draws(axes, seed, Purpose.SENSOR, sampling, sensors, apart_from=others)
+        return _draws(self.sensor_axes, self.scene, Purpose.SENSOR, sensors, self.press_axes)
 
     def press_table(self, values: Table) -> Any:
         """Return the plain table of a press, or the tables of tractions, with drawn values."""
@@ -251,9 +246,8 @@ class Plan:
 
 def _draws(
     axes: Mapping[str, Distribution],
-    seed: int,
+    scene: Scene,
     purpose: Purpose,
-    sampling: Sampling,
     numbers: Sequence[int],
     apart_from: Mapping[str, Distribution] | None = None,
 ) -> list[Table]:
@@ -265,7 +259,7 @@ def _draws(
     """
     width = sum(axis.takes for axis in axes.values())
     taken = sum(axis.takes for axis in (apart_from or {}).values())
-    rows = _unit_numbers(seed, purpose, sampling, numbers, width, taken)
+    rows = _unit_numbers(scene.seed, purpose, scene.dataset.sampling, numbers, width, taken)
     found = []
     for u in rows:
         values = {}
@@ -371,11 +365,8 @@ class Places:
             raise InputError(f"{self.info}: format {found}; this program reads {FORMAT}")
         lists = [facts.get(name) for name in ("columns", "sensor_columns")]
         whole = all(isinstance(each, list) and all(map(_is_column, each)) for each in lists)
-        if not (
-            whole
-            and isinstance(facts.get("samples"), int)
-            and isinstance(facts.get("content"), str)
-        ):
+        numbers = isinstance(facts.get("samples"), int)
+        if not (whole and numbers and isinstance(facts.get("content"), str)):
             raise InputError(
                 f"{self.info}: columns, sensor_columns, samples or content are missing or damaged"
             )
@@ -387,11 +378,8 @@ class Places:
         found = {}
         for path in sorted(self.folder.rglob("*")):
             name = path.relative_to(self.folder).as_posix()
-            if path.is_file() and name not in (
-                "meta/SHA256SUMS",
-                "meta/writer.lock",
-                "meta/written.sha256",
-            ):
+            others = (self.sums, self.written, self.meta / "writer.lock")
+            if path.is_file() and path not in others:
                 found[name] = (known or {}).get(name) or file_digest(path)
         return found
 
@@ -457,7 +445,7 @@ def _chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
     )
 
 
-def _available(column: Column, scene: Scene, has: set[Need]) -> bool:
+def _available(column: Column, scene: Scene, has: AbstractSet[str]) -> bool:
     return column.needs <= has and (scene.camera is not None or column.kind != "pixels")
 
 

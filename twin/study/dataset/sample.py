@@ -16,7 +16,7 @@ import io
 import json
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -28,7 +28,6 @@ import numpy as np
 from twin.arrays import Bools, Floats, Picture
 from twin.errors import ContactError, RecipeError, TwinError
 from twin.files import PINNED, cache_folder, png_bytes
-from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
 from twin.parts.part import Part, Purpose
 from twin.parts.scene import Scene, Sites
@@ -190,9 +189,7 @@ def _rows(made: _MadeSensor, sample: int, press: Press) -> list[_Row]:
     plan = made.plan
     every = plan.scene.dataset.every_step
     press, ends_s = _at_rate(plan, press)
-    state = made.sensor.press(press)
-    if not state.complete:
-        raise ContactError(f"press: {state.reason}")
+    state = _pressed(made, press)
     states = state.path if every and state.path else (state,)
     # Exposures and truth share the states' motions.
     motions = lru_cache(maxsize=8)(lambda number: made.motion(states[number].load))
@@ -257,8 +254,6 @@ def _truth_of(
     ``picture`` makes that of an exposure over motion, in the light of a frame; None: the load's
     own.
     """
-    from twin.parts.load import Rectangles
-
     sensor = made.sensor
     needs = made.plan.needs
     groups = [sensor.rectangles(Load((term,))) for term in load.terms] or [sensor.rectangles(load)]
@@ -291,23 +286,22 @@ def _seen(
     sensor = made.sensor
     renderer = made.renderer
     needs = made.plan.needs
-    if "picture" not in needs:
-        return _outlined(renderer.outlines(sensor.ellipsoids(motion)))
-    step = (exposure - 1) % MOST_STEPS
-    row: _Row = {"lit": step % len(sensor.renderers)}
-    if moving is not None:
-        row["picture"] = png_bytes(moving(exposure, step))
-        if "outlines" in needs:
-            row |= _outlined(renderer.outlines(sensor.ellipsoids(motion)))
-        return row
-    if "outlines" not in needs:
-        return row | {"picture": png_bytes(sensor.picture(motion, exposure, step))}
-    picture, outlines = sensor.seen(motion, exposure, step)
-    return row | {"picture": png_bytes(picture), **_outlined(outlines)}
-
-
-def _outlined(outlines: Outlines) -> _Row:
-    return {"marker_outline_pressed_px": outlines.centroid_px, "marker_visible": outlines.visible}
+    row: _Row = {}
+    outlines: Outlines | None = None
+    if "picture" in needs:
+        step = (exposure - 1) % MOST_STEPS
+        if moving is not None:
+            picture = moving(exposure, step)
+        elif "outlines" in needs:
+            picture, outlines = sensor.seen(motion, exposure, step)
+        else:
+            picture = sensor.picture(motion, exposure, step)
+        row |= {"lit": step % len(sensor.renderers), "picture": png_bytes(picture)}
+    if "outlines" in needs:
+        outlines = outlines or renderer.outlines(sensor.ellipsoids(motion))
+        row["marker_outline_pressed_px"] = outlines.centroid_px
+        row["marker_visible"] = outlines.visible
+    return row
 
 
 def _actual(scene: Scene) -> Table:
@@ -434,8 +428,14 @@ def make_shard(folder: Path, shard: int) -> ShardBytes:
 def parquet(
     rows: list[dict[str, Any]], columns: Sequence[Column], words: Mapping[str, str]
 ) -> bytes:
-    """Return rows as a Parquet file; pictures are stored as they are, a few to a row group."""
+    """Return rows as a Parquet file with a line about every column; missing values are null,
+    pictures are stored as they are, a few to a row group."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
+
+    fields = [pa.field(c.name, c.arrow_type(c.kind), metadata={"what": c.what}) for c in columns]
+    schema = pa.schema(fields, metadata=dict(words))
+    arrays = [_array([row.get(field.name) for row in rows], field.type) for field in schema]
 
     # names of a column's leaves: of itself, of a list, of a list of vectors
     leaves = {
@@ -445,7 +445,7 @@ def parquet(
     }
     file = io.BytesIO()
     pq.write_table(
-        _to_arrow(rows, columns, words),
+        pa.Table.from_arrays(arrays, schema=schema),
         file,
         compression=leaves,
         use_dictionary=False,
@@ -454,18 +454,6 @@ def parquet(
         version="2.6",
     )
     return file.getvalue()
-
-
-def _to_arrow(
-    rows: list[dict[str, Any]], columns: Iterable[Column], metadata: Mapping[str, str]
-) -> pa.Table:
-    """Return rows as an Arrow table with a line about every column; missing values are null."""
-    import pyarrow as pa
-
-    fields = [pa.field(c.name, c.arrow_type(c.kind), metadata={"what": c.what}) for c in columns]
-    schema = pa.schema(fields, metadata=dict(metadata))
-    arrays = [_array([row.get(field.name) for row in rows], field.type) for field in schema]
-    return pa.Table.from_arrays(arrays, schema=schema)
 
 
 def _array(values: list[Any], kind: pa.DataType) -> pa.Array:
@@ -555,23 +543,18 @@ def _relative(one: Floats | float, other: Floats | float) -> float:
 
 
 def _finer(made: _MadeSensor) -> _MadeSensor:
-    """Return the same sensor at the highest accuracy."""
+    """Return the same sensor at the highest accuracy, of bodies that ship with one on the finest
+    mesh."""
+    from twin.world.mesh.sizing import WORLD, Sizing
+
     scene = made.plan.scene
     changes: dict[str, Any] = {
         "contact_patches": min(_MOST_PATCHES, 2 * scene.contact_patches),
         "contact_increments": min(_MOST_INCREMENTS, 2 * scene.accuracy.contact_increments),
         "surface_table": False,
     }
-    folder = PINNED.folder
-    if folder is not None and (folder / _finest_mesh_file(scene.body)).is_file():
+    finest_mesh = Sizing.of(scene.body, WORLD[-1]).mesh_file(scene.body)
+    if PINNED.folder is not None and (PINNED.folder / finest_mesh).is_file():
         changes["displacement"] = _BEST
     finest = scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update=changes)})
     return _MadeSensor(Plan(finest, made.plan.samples), made.number, made.values, gather=False)
-
-
-def _finest_mesh_file(body: Body) -> str:
-    """Return the name of the file of the body's finest mesh, which is there for bodies that ship
-    with one."""
-    from twin.world.mesh.sizing import WORLD, Sizing
-
-    return Sizing.of(body, WORLD[-1]).mesh_file(body)

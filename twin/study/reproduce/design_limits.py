@@ -178,15 +178,14 @@ def _limits(
 ) -> Limit:
     """Return the closed-form limit of (m, layers) designs under `FORCE_N` on discs of 1 mm
     radius."""
-    ones = np.ones(len(noise_mm))
     return Limit.of(
         depth_mm=depth_mm,
         pitch_mm=pitch_mm,
         noise_mm=noise_mm,
-        youngs_modulus_mpa=modulus_mpa * ones,
-        poisson_ratio=ratio * ones,
-        force_n=FORCE_N * ones,
-        radius_mm=ones,
+        youngs_modulus_mpa=np.array(modulus_mpa),
+        poisson_ratio=np.array(ratio),
+        force_n=np.array(FORCE_N),
+        radius_mm=np.array(1.0),
     )
 
 

@@ -33,7 +33,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from twin.arrays import Bools, Floats, Picture, Points, Singles
+from twin.arrays import Bools, Floats, Picture, Points
 from twin.compiled import COMPILING
 from twin.errors import InputError, RecipeError
 from twin.judge.resolution import dip, full_width, two_point_distance
@@ -41,7 +41,6 @@ from twin.judge.score import GROSS_PX
 from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.parts.methods import Method
-from twin.parts.part import Purpose
 from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import GF, Sweep
 from twin.sense.inverse import METHODS, Problem
@@ -149,10 +148,10 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
         found["resolution_gf"][good] = limit.force_sd_n / GF
     found["total_force_error"] = found["resolution_gf"] * GF / sweep.loads.force_n
     # What a design costs.
-    width, height = (
-        (0, 0) if scene.camera is None else (scene.camera.width_px, scene.camera.height_px)
+    assert scene.camera is not None
+    pixels = designs.numbers("camera.width_px", scene.camera.width_px) * designs.numbers(
+        "camera.height_px", scene.camera.height_px
     )
-    pixels = designs.numbers("camera.width_px", width) * designs.numbers("camera.height_px", height)
     cost = sweep.cost
     found["markers"] = markers
     found["cost"] = cost.base + cost.marker * markers + cost.megapixel * pixels / 1e6
@@ -164,8 +163,7 @@ def _axis_scale(designs: Designs, depth_mm: Floats) -> Floats:
     (Snell, paraxial)."""
     scene = designs.scene
     camera = scene.camera
-    if camera is None:
-        return np.ones(len(depth_mm))
+    assert camera is not None
     base_z = designs.numbers("body.thickness_mm", scene.body.base_z_mm)
     index = designs.numbers("material.refractive_index", scene.material.refractive_index)
     layers = sum(layer.thickness_mm for layer in camera.layers)
@@ -722,11 +720,11 @@ def _seen(
     points = sensor.actual.markers.points
     # each round of exposures has a zero of its own, or one zero's noise would be in all of them
     still = sensor.renderer.radiance(sensor.ellipsoids(None))
-    rest = analyse_rest(_exposed(sensor, still, 0), sensor.layout_px, method=scene.tracking.method)
+    rest = analyse_rest(sensor.exposed(still, 0), sensor.layout_px, method=scene.tracking.method)
     spent.start = spent.lap()
     zeros = []
     for k in range(count):
-        zeros.append(track_frame(rest, _exposed(sensor, still, 1 + k)))
+        zeros.append(track_frame(rest, sensor.exposed(still, 1 + k)))
         spent.zeros.append(spent.lap())
     # a marker's noise is the same in every picture, so that one factorisation serves them all
     stated = np.nanmean([zero.sd_px for zero in zeros], axis=0) if count > 1 else zeros[0].sd_px
@@ -745,7 +743,7 @@ def _seen(
         spent.lights.append(spent.lap())
         shifts = []
         for k in range(count):
-            picture = _exposed(sensor, light, 1 + count * (1 + place) + k)
+            picture = sensor.exposed(light, 1 + count * (1 + place) + k)
             pictures = pictures or [picture]
             found = track_frame(rest, picture)
             found = replace(found, shift_px=found.shift_px - zeros[k].shift_px, sd_px=stated)
@@ -784,14 +782,6 @@ def _calibration(sensor: Sensor, bodies: Bodies) -> Calibration:
     points = sensor.nominal_markers.points
     compliance = _nominal_compliance(sensor.nominal, points, sensor.sites, bodies)
     return nominal_calibration(sensor, compliance)
-
-
-def _exposed(sensor: Sensor, light: Singles, number: int) -> Picture:
-    """Return an exposure of rendered light."""
-    from twin.world.picture.ccd import expose
-
-    noise = Purpose.EXPOSURE.stream(sensor.nominal.seed, number)
-    return expose(light, sensor.nominal.ccd, noise, sensor.pattern)
 
 
 def _deviation_px(error: Floats) -> float:

@@ -4,7 +4,7 @@
 a score ranks. Instead of a grid of designs it can search for the best design. `estimate` predicts
 the time, and `check` tests the recipe first.
 
-Only this process writes into the folder, under a lock. _Rows are stored: ``rows.jsonl`` grows by
+Only this process writes into the folder, under a lock. Rows are stored: ``rows.jsonl`` grows by
 whole lines, and a kill cuts off one line at most. A row's key is a hash of all that it depends on
 (design, scene, loads, fidelity, versions), so an interrupted or changed sweep reuses the rows that
 are there. A worker knows the sweep by the job's files only; each body that it keeps serves one set
@@ -75,7 +75,7 @@ SHOWN = ("picture", "site_mm", "middle_n", "pair_n")
 
 @dataclass(frozen=True)
 class _Rows:
-    """_Rows of a task.
+    """Rows of a task.
 
     Attributes
     ----------
@@ -102,7 +102,8 @@ class _Workshop:
         self.stage: str = job["stage"]
         self.chunk: int = job["chunk"]
         self.scene = load_scene(folder / "scene.toml")
-        self.designs = _designs(self.sweep, self.scene, job["designs"])
+        columns = {key: [each[key] for each in job["designs"]] for key in job["designs"][0]}
+        self.designs = Designs(self.sweep, self.scene, columns)
         self.base = SceneTable.of(self.scene)
         self.bodies = Bodies.of(self.sweep)
         self._pushes: dict[str, Pushes] = {}
@@ -179,12 +180,6 @@ def _job_of(
     }
     files = {"sweep.json": json.dumps(table).encode(), "scene.toml": scene.to_toml().encode()}
     return Job(files=files, work=f"{__name__}:{_make_rows.__name__}")
-
-
-def _designs(sweep: Sweep, scene: Scene, values: Sequence[dict[str, Any]]) -> Designs:
-    """Return the designs that have these values."""
-    columns = {key: [each[key] for each in values] for key in values[0]}
-    return Designs(sweep, scene, columns)
 
 
 def _pushes(sweep: Sweep, scene: Scene, design: Scene) -> Pushes:
@@ -575,7 +570,8 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
         # the first stage takes all designs, a later one the best of the stage before
         rank = _scores(sweep, done.columns) if number else np.zeros(count)
         most = sweep.confirm.linear if stage == "linear" else sweep.confirm.full
-        chosen = _best_first(rank, done.status == "ok", most if number else None)
+        order = np.argsort(rank, kind="stable")
+        chosen = order[(done.status == "ok")[order]][: most if number else None]
         values = [designs.values(int(n)) for n in chosen]
         rows = runner.rows(stage, values)
         done.fidelity[chosen] = stage
@@ -702,12 +698,6 @@ def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
         total = part if total is None else total + part
     count = len(next(iter(columns.values()))) if columns else 0
     return total if total is not None else np.full(count, np.inf)
-
-
-def _best_first(score: Floats, allowed: Bools, at_most: int | None) -> Ints:
-    """Return the numbers of the allowed designs, the best first; equal ones in their order."""
-    order = np.argsort(score, kind="stable")
-    return order[allowed[order]][:at_most]
 
 
 def _optimised(designs: Designs, runner: _Runner) -> Designs:
