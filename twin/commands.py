@@ -956,7 +956,7 @@ def sweep(
 
 def reproduce(
     *names: Annotated[
-        str, Parameter(help="Entries (kamiyama/table-1), papers (sato), or all (default).")
+        str, Parameter(help="Entries (kamiyama/table-1), papers (sato), or all; none: the list.")
     ],
     out: Annotated[
         Path, Parameter(help="Folder for the page, the records and the pictures.")
@@ -967,6 +967,8 @@ def reproduce(
     seed: Annotated[Whole, Parameter(help="Root seed of sensors and noise.")] = 1,
 ) -> _Output:
     """Reproduce the papers' tables and figures, with the papers' figures for comparison.
+
+    Without names it lists what there is, and the time and memory that each takes.
 
     Every experiment runs through the full chain: contact, picture, CCD, tracking, inverse. Writes
     DIR/index.html, DIR/results.json and an SVG for each. Results in DIR that are still valid are

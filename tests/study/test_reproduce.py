@@ -1,6 +1,7 @@
 """The papers made again: what a record says, that a run resumes and repeats, and what the page holds."""
 
 import json
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
+from benchmarks.record import read
 from benchmarks.truth import MODULUS_MPA, half_space
 from twin.errors import InputError, TwinError
 from twin.parts.load import Traction
@@ -149,13 +151,28 @@ def test_names_choose_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
             reproduce(names, Path(folder), quick=quick)
         return list(done)
 
-    assert ran() == list(ENTRIES)
+    assert ran("all") == list(ENTRIES)
     assert ran("kamiyama/fig-7", "kamiyama/table-1") == ["kamiyama/table-1", "kamiyama/fig-7"]
     assert all(name.startswith("sato/") for name in ran("sato"))
     assert "beyond/limits" not in ran("all", quick=True)
     assert ran("beyond/limits", quick=True) == ["beyond/limits"]
     with pytest.raises(InputError, match="did you mean 'kamiyama/table-1'"):
         ran("kamiyama/table1")
+
+
+def test_without_names_nothing_is_run_and_all_are_listed(tmp_path: Path) -> None:
+    """Times are those that are stored with the documentation, rounded up."""
+    out = tmp_path / "none"
+    *lines, total, _ = reproduce((), out).lines
+    assert not out.exists()
+    assert [record["name"] for _, record in lines] == list(ENTRIES)
+    stored = {row["entry"]: row["CPU"] for row in read("reproduction")["rows"] if "entry" in row}
+    assert {record["name"]: record["cpu_seconds"] for _, record in lines} == {
+        name: math.ceil(seconds) for name, seconds in stored.items()
+    }
+    assert all(line.endswith(ENTRIES[record["name"]].title) for line, record in lines)
+    assert all("5.4 GB" in line for line, record in lines if record["name"] == "kamiyama/fig-15")
+    assert f" {sum(stored.values()):.0f} s " in total
 
 
 def test_the_same_seed_gives_the_same_records_and_one_sensor_each(tmp_path: Path) -> None:
@@ -244,7 +261,7 @@ def test_every_table_and_figure_has_an_entry() -> None:
 
 @pytest.mark.slow
 def test_the_quick_form_makes_everything(tmp_path: Path) -> None:
-    done = reproduce((), tmp_path, quick=True)
+    done = reproduce(("all",), tmp_path, quick=True)
     assert not done.failed
     records = json.loads((tmp_path / "results.json").read_text())
     assert {r["name"] for r in records} == {name for name, entry in ENTRIES.items() if not entry.long}

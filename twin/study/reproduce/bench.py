@@ -194,15 +194,7 @@ class _KeptSensor(Sensor):
         """Solve a press once."""
         assert press is not None
         solve = super().press
-
-        def bare() -> ContactState:
-            """Leave out the estimates of the error: they hold the contact's matrices, of which
-            hundreds of kept states fill the memory."""
-            state = solve(press, memory)
-            path = tuple(replace(one, estimate=None) for one in state.path)
-            return replace(state, estimate=None, path=path)
-
-        return self._once("press", press.model_dump_json(), bare)
+        return self._once("press", press.model_dump_json(), lambda: solve(press, memory))
 
     def motion(self, load: Load) -> Motion:
         """Return how the actual markers move under a load, which is kept so that its id is."""

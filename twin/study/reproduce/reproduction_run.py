@@ -37,32 +37,70 @@ from twin.study.reproduce.shifted import SHIFTED
 Table = dict[str, Any]
 
 _FOUND = {entry.name: entry for entry in (*SHIFTED, *FLAT_FIGURES, *FINGER_FIGURES, *DESIGN_LIMITS)}
-_ORDER = {
-    "kamiyama": ("table-1", *(f"fig-{number}" for number in range(6, 18)), "times", "conclusion"),
-    "sato": (
-        *("table-1", "fig-6", "calibration", "fig-7", "fig-8", "fig-9"),
-        *("table-2", "2mm-prediction"),
-    ),
-    "beyond": ("half-space", "limits", "same-hardware-kamiyama", "same-hardware-sato"),
+_COSTS: dict[str, tuple[int, float | None]] = {
+    "kamiyama/table-1": (16, 1.3),
+    "kamiyama/fig-6": (1, 0.6),
+    "kamiyama/fig-7": (1, 0.6),
+    "kamiyama/fig-8": (1, 0.7),
+    "kamiyama/fig-9": (9, 1.1),
+    "kamiyama/fig-10": (2, 1.0),
+    "kamiyama/fig-11": (1, 1.0),
+    "kamiyama/fig-12": (1, 1.0),
+    "kamiyama/fig-13": (2, 1.1),
+    "kamiyama/fig-14": (7, 1.1),
+    "kamiyama/fig-15": (50, 5.4),
+    "kamiyama/fig-16": (11, 0.8),
+    "kamiyama/fig-17": (7, 0.6),
+    "kamiyama/times": (3, 0.4),
+    "kamiyama/conclusion": (10, None),
+    "sato/table-1": (13, None),
+    "sato/fig-6": (1, None),
+    "sato/calibration": (38, None),
+    "sato/fig-7": (1, None),
+    "sato/fig-8": (105, None),
+    "sato/fig-9": (11, None),
+    "sato/table-2": (1, None),
+    "sato/2mm-prediction": (13, None),
+    "beyond/half-space": (1, None),
+    "beyond/limits": (17, None),
+    "beyond/same-hardware-kamiyama": (34, None),
+    "beyond/same-hardware-sato": (18, None),
 }
-ENTRIES: dict[str, Entry] = {
-    f"{paper}/{name}": _FOUND[f"{paper}/{name}"]
-    for paper, names in _ORDER.items()
-    for name in names
-}
+"""Time of each entry in a run of all (s of CPU of one core, as stored with the documentation), and
+the most memory that it takes by itself with an empty cache (GB, None where it was not measured).
+By itself an entry also makes what all share: 7 to 42 s more were measured on the flat sensor, and
+the finger's 75 presses take 37 s."""
+
+_ALL = (360, 8.0)
+
+ENTRIES: dict[str, Entry] = {name: _FOUND[name] for name in _COSTS}
 """Tables and figures in the order of the papers."""
 
 assert ENTRIES.keys() == _FOUND.keys(), "every entry has its place in the order"
 
 
+def _listing() -> list[str | tuple[str, Table]]:
+    """Return a line and a record of each entry: what it shows, and the time and memory it takes."""
+    lines: list[str | tuple[str, Table]] = []
+    for name, entry in ENTRIES.items():
+        seconds, memory = _COSTS[name]
+        facts = {"name": name, "title": entry.title, "cpu_seconds": seconds, "memory_gb": memory}
+        room = f"{memory:.1f} GB" if memory else ""
+        lines.append((f"{name:29s} {seconds:4d} s  {room:6s}  {entry.title}", facts))
+    return [
+        *lines,
+        f"{'all':29s} {_ALL[0]:4d} s  {_ALL[1]:.1f} GB  on one core",
+        "Give entries, papers (kamiyama, sato, beyond) or all; one by itself takes 10 to 50 s more",
+    ]
+
+
 def _chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
-    """Return the entries that ``names`` mean: ``all``, a paper, or entries by name; in the papers'
-    order.
+    """Return the entries that ``names`` mean (``all``, a paper, entries) in the papers' order.
 
     The quick form leaves long ones out unless they are named. An unknown name raises InputError.
     """
     wanted: set[str] = set()
-    for name in names or ("all",):
+    for name in names:
         found = [key for key in ENTRIES if name in ("all", key, key.split("/")[0])]
         if not found:
             hint = did_you_mean(name, (*(key.split("/")[0] for key in ENTRIES), *ENTRIES), "", 0.4)
@@ -76,10 +114,10 @@ def _chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Reproduced:
-    """A reproduction in its folder: lines for the terminal, and the entries that could not be
-    finished, with the reason."""
+    """A reproduction in its folder: lines for the terminal, those of entries with a record, and
+    the entries that could not be finished, with the reason."""
 
-    lines: Sequence[str]
+    lines: Sequence[str | tuple[str, Table]]
     failed: dict[str, str]
 
 
@@ -96,7 +134,8 @@ def reproduce(
     Parameters
     ----------
     names
-        Entries (``kamiyama/table-1``), papers (``sato``) or ``all``, the default.
+        Entries (``kamiyama/table-1``), papers (``sato``) or ``all``; without any nothing is run,
+        and the lines are the list of entries with the time and memory that each takes.
     out
         Folder; what it holds already and still stands is not run again.
     seed
@@ -109,6 +148,8 @@ def reproduce(
     InputError
         There is no such entry, or the folder can't be written.
     """
+    if not names:
+        return _Reproduced(lines=_listing(), failed={})
     wanted = _chosen(names, quick)
     make_folder(out)
     make_folder(out / "entries")
@@ -246,20 +287,27 @@ def _publish(out: Path, bench: Bench, failed: dict[str, str]) -> None:
     write_whole(out / "index.html", page.encode())
 
 
-def _line(entry: Entry, table: Table | None, failed: dict[str, str]) -> str:
-    """Return the line about an entry for the terminal."""
+def _line(entry: Entry, table: Table | None, failed: dict[str, str]) -> tuple[str, Table]:
+    """Return the line about an entry, and its record."""
     if table is None:
-        return f"{entry.name:22s} failed: {failed.get(entry.name, 'not run')}"
-    words = f"{len(table['records'])} numbers; the paper gives none"
+        reason = failed.get(entry.name, "not run")
+        return f"{entry.name:22s} failed: {reason}", {"name": entry.name, "failed": reason}
     verdicts = [
         r["verdict"]
         for r in table["records"]
         if r["paper"] is not None and not r["timed"] and not r["ours"]
     ]
+    record = {
+        "name": entry.name,
+        "seconds": table["seconds"],
+        "numbers": len(table["records"]),
+        "compared": len(verdicts),
+        "agree": verdicts.count("agrees"),
+        "explained": sum("explained by:" in verdict for verdict in verdicts),
+    }
+    words = "{numbers} numbers; the paper gives none"
     if verdicts:
-        explained = sum("explained by:" in verdict for verdict in verdicts)
         words = (
-            f"{verdicts.count('agrees')} of {len(verdicts)} numbers agree with the paper's, "
-            f"{explained} more are explained"
+            "{agree} of {compared} numbers agree with the paper's, {explained} more are explained"
         )
-    return f"{entry.name:22s} {table['seconds']:6.1f} s  {words}"
+    return f"{entry.name:22s} {table['seconds']:6.1f} s  {words.format(**record)}", record
