@@ -182,7 +182,7 @@ def bare() -> twin.Sensor:
         (lambda _: twin.track(PICTURE, PICTURE, LAYOUT, channels=3), "channels must be a Mapping"),
         (lambda _: twin.track(PICTURE, PICTURE, LAYOUT, diameter_px={"red": 3}), "diameter_px must be a Real"),
         (lambda _: twin.reconstruct(LAYOUT, None), "the motion must be a Found"),
-        (lambda _: twin.run(twin.load_scene("block_bare"), want="displacements"), "unknown displacements"),
+        (lambda _: twin.run(twin.load_scene("block_bare"), want="displacements"), "did you mean 'displacement'"),
         (lambda _: twin.Sphere(diameter_mm=-3), "diameter_mm = -3 mm: must be greater than"),
         (lambda _: twin.Press(probe=PRESS.probe, force_n=(0, 0, 1), friction=-0.5), "frictionless"),
         (lambda _: twin.Traction.rectangle((0, 0), 4, (0, 0, 1)), "size_mm"),
