@@ -888,6 +888,21 @@ def test_a_grey_film_is_known_by_the_blocks_that_it_repeats():
         assert not alone.rest.film
 
 
+def test_markers_that_the_frame_cuts_and_that_fit_no_outline_are_left_out():
+    """Once refused at rest, they divided by zero later."""
+    card = Card(10.0, 0.33 / 3.0)
+
+    def flat(dx, dy, x, y):
+        return np.hypot(dx, dy * (1.3 if min(x, y) < 8.0 else 1.0)) < 4.6
+
+    rest = analyse_rest(expose(card.draw(shade=flat), 1), card.layout)
+    known = np.isfinite(rest.rest_px[:, 0])
+    assert 0.02 < 1.0 - known.mean() < 0.2
+    found = track_frame(rest, expose(card.draw(0.5, shade=flat), 2), np.zeros_like(rest.rest_px))
+    assert found.seen[known].all()
+    assert not found.seen[~known].any()
+
+
 @pytest.mark.parametrize("diameter", WIDTHS)
 @pytest.mark.parametrize("margin", [0.33, 0.15])
 def test_markers_cut_by_the_frame_are_kept_at_a_true_deviation(diameter, margin):

@@ -461,7 +461,8 @@ class DiscFit(SoftWindow):
         """
         templates, scale = self.templates, fitted[:, SCALE]
         odd = misfit > UNUSUAL * np.fmax(templates.rest[:, MISFIT], now)
-        fits = fitted[:, FITTING] / templates.rest[:, FITTING]
+        fitting = templates.rest[:, FITTING]
+        fits = fitted[:, FITTING] / np.where(fitting > 0.0, fitting, np.nan)  # 0: refused at rest
         low, middle, high = _quantiles(scale, 0.25, 0.5, 0.75)
         least = middle - SMALLER * max(NORMAL * (high - low), LEAST_SPREAD)
         doubted = odd | (fits < FITS * min(_quantiles(fits, 0.5)[0], 1.0)) | (scale < least)
