@@ -577,6 +577,20 @@ def test_a_marker_partly_hidden_in_the_grounds_colour_is_measured_by_the_part_in
         assert (np.hypot(*error.T) < np.maximum(5 * found.sd_px[seen], 0.1)).all()
 
 
+@pytest.mark.parametrize(("diameter", "kept"), [(10.0, 0.4), (15.0, 0.85)])
+def test_a_marker_of_which_half_is_hidden_is_measured_by_the_other_half(diameter, kept):
+    """The fit started at the middle of the part in sight, and did not reach the edge: one in twenty was kept."""
+    card, some = Card(diameter), np.arange(0, 143, 5)
+    shift = card.shifts(10)
+    drawn = hidden(card, card.draw(shift), shift, some, 0.5, 0)
+    found = track(expose(card.draw(), 1), expose(drawn, 20), card.layout)
+    error, sd = (found.shift_px - shift)[some], found.sd_px[some, None]
+    assert found.seen[some].mean() > kept
+    assert np.nanmedian(np.abs(error)) < 0.04
+    assert np.sqrt(np.nanmean((error / sd) ** 2)) < 1.2
+    assert not (np.abs(error) > np.maximum(5 * sd, 0.05)).any()
+
+
 @pytest.mark.parametrize(
     ("diameter", "psf", "area", "camera", "largest"),
     [

@@ -525,17 +525,30 @@ class DiscFit(SoftWindow):
         start = fitted[rows, CENTRE]
         part = fit_visible(picture, templates, rows, start, expected)
         # A fit that leaves no more than the noise, finds something hidden, and is certain, is good.
-        limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part[:, PIXELS], 1.0))
-        if fine.any():
-            worst = _quantiles(fitted[fine, MISFIT], WORST_FITS)[0] / templates.usual_misfit
-            limit = np.where(cut[rows], np.fmax(limit, worst), limit)
+        worst = _quantiles(fitted[fine, MISFIT], WORST_FITS)[0] if fine.any() else 0.0
+
+        def judged(part: Floats) -> tuple[Bools, Bools]:
+            limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part[:, PIXELS], 1.0))
+            limit *= templates.usual_misfit
+            like = part[:, MISFIT] < np.where(cut[rows], np.fmax(limit, worst), limit)
+            near = np.hypot(*(part[:, CENTRE] - start).T) < 2.0 * radius[rows]
+            hides = like & (cut[rows] | (part[:, SHORTFALL] > 0.0)) & near
+            good = hides & (part[:, FITTING] > LEAST_PART) & (part[:, STEP] < PART_SETTLED_PX)
+            good &= (part[:, VARIANCE] < WORST_PART_PX**2).all(axis=1)
+            # an outline that lacks as much by itself misleads where only a part of it is in sight
+            return hides, good & (cut[rows] | ~(templates.rest[rows, SHORTFALL] > HIDES))
+
+        hides, good = judged(part)
+        failed = ~(good | cut[rows])
+        if failed.any():  # too much may be hidden for a start at the middle of the rest
+            some = expected.only(failed)
+            place = some.likeliest(picture, templates, rows[failed], start[failed])
+            again = part.copy()
+            again[failed] = fit_visible(picture, templates, rows[failed], place, some)
+            found = judged(again)[1] & failed
+            part[found] = again[found]
+            hides, good = hides | found, good | found
         moved = np.hypot(*(part[:, CENTRE] - start).T)
-        like = part[:, MISFIT] < limit * templates.usual_misfit
-        hides = like & (cut[rows] | (part[:, SHORTFALL] > 0.0)) & (moved < 2.0 * radius[rows])
-        good = hides & (part[:, FITTING] > LEAST_PART) & (part[:, STEP] < PART_SETTLED_PX)
-        good &= (part[:, VARIANCE] < WORST_PART_PX**2).all(axis=1)
-        # an outline that lacks as much by itself misleads where only a part of it is in sight
-        good &= cut[rows] | ~(templates.rest[rows, SHORTFALL] > HIDES)
         # `_judge` refuses what hides too much; good fits it takes for whole ones.
         refused = rows[hides | cut[rows]]
         fitted[refused, SHORTFALL], fitted[refused, FITTING] = 1.0, 0.0

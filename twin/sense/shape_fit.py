@@ -21,7 +21,7 @@ are refused by their residuals.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -279,6 +279,10 @@ them: px, and shares of the blur's half width where that is more."""
 
 SETTLED_PX = 2e-3
 
+ASIDE, ASIDE_STEP, MAY_LACK = 0.6, 0.1, 0.15
+"""`Expected.likeliest` looks so far for a better start, in steps of so much, both over the radius;
+there missing light counts less above so much of the brightness."""
+
 LARGEST_STEPS = np.array([0.4, 0.4, np.inf, np.inf, 0.1, 0.1, 0.1])
 """Of `FREE`, over the radius."""
 
@@ -305,6 +309,39 @@ class Expected:
     level_sd: Floats
     blur: Floats
     bare: Bools
+
+    def only(self, rows: Bools) -> Expected:
+        """Return this for some of the markers."""
+        return replace(self, **{name: values[rows] for name, values in vars(self).items()})
+
+    def likeliest(
+        self, picture: Picture, templates: Templates, rows: Ints, start_px: Pixels
+    ) -> Pixels:
+        """Return (k, 2) the places about ``start_px`` where discs of this size fit markers ``rows``
+        best: light may be missing, but there is not too much.
+
+        A fit to what is left of a marker starts at its middle. From there the edge in sight is too
+        far for steps along the slope of the brightness where more than .4 of the area is hidden.
+        """
+        radius, blur = np.sqrt(self.axes[:, 0] * self.axes[:, 2]), self.blur[:, None]
+        reach = float(np.max((1.0 + ASIDE) * radius + self.blur)) + 1.0
+        offset, aside = disc_offsets(reach), disc_offsets(ASIDE / ASIDE_STEP) * ASIDE_STEP
+        middle = np.rint(start_px).astype(np.int64)
+        signal, use, _ = _signal(picture, templates, middle[:, None] + offset)
+        share = signal - _medians(signal, use & (np.hypot(*offset.T) > reach - 1.5))[:, None]
+        share /= self.level[:, None]
+        place, least = np.array(start_px, float), np.full(len(rows), np.inf)
+        for step in aside:
+            centre = start_px + step * radius[:, None]
+            x, y = (offset[:, axis] + (middle - centre)[:, axis, None] for axis in range(2))
+            v = np.clip((radius[:, None] - np.sqrt(x * x + y * y)) / blur, -1.0, 1.0)
+            square = v * v
+            left = share - 0.5 - v * (15 / 16 - square * (10 / 16 - square * 3 / 16))
+            left = np.where(left < 0.0, left**2 / (1.0 + (left / MAY_LACK) ** 2), left**2)
+            cost = (left * use).sum(axis=1)
+            better = cost < least
+            place[better], least[better] = centre[better], cost[better]
+        return place
 
 
 def fit_visible(
