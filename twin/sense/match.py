@@ -162,6 +162,9 @@ class Neighbourhood:
     partner
         (l, n) the marker that lies a step of the lattice away, for each of its l shortest steps; -1
         where none does, and l = 0 where there is no lattice.
+    goes_on
+        Whether the lattice goes on beyond the drawn layout: then no motion is more likely from a
+        cold start than another.
     """
 
     rest_px: Pixels
@@ -170,6 +173,7 @@ class Neighbourhood:
     lead: Ints
     spacing_px: float
     partner: Ints
+    goes_on: bool = False
 
     @classmethod
     def of(cls, rest_px: Pixels, spacing_px: float) -> Neighbourhood:
@@ -272,7 +276,6 @@ class Neighbourhood:
         start_px: Pixels | None = None,
         size_px: tuple[int, int] | None = None,
         spare_px: Pixels | None = None,
-        part: bool = False,
     ) -> tuple[Ints, bool]:
         """Return (n,) which spot every marker has become, -1 where none has; whether another
         lattice shift fits as well.
@@ -289,9 +292,6 @@ class Neighbourhood:
             (height, width) of the picture, whose markers may leave it; None if none can.
         spare_px
             (s, 2) spots at rest that are none of the markers, px.
-        part
-            Whether the lattice goes on beyond the drawn layout: then no motion is more likely from
-            a cold start than another.
 
         Notes
         -----
@@ -303,7 +303,7 @@ class Neighbourhood:
         count = len(self.rest_px)
         if not count or not len(spots):
             return np.full(count, -1, np.int64), False
-        search = _Search(self, spots, alike, size_px, start_px, spare_px, part)
+        search = _Search(self, spots, alike, size_px, start_px, spare_px)
         if start_px is not None:
             warm = search.grow(start_px, whole=True)
             allowed = TRUST * float(np.isfinite(self.rest_px).all(axis=1).sum())
@@ -311,7 +311,7 @@ class Neighbourhood:
             if search.lost(warm) < allowed and not outdone:
                 return warm.spot, False
         still = search.grow(np.zeros_like(self.rest_px))
-        if start_px is None and search.plain(still) and not part:
+        if start_px is None and search.plain(still) and not self.goes_on:
             return still.spot, False
         grown = [still, *(search.grow(guess) for guess in search.common_motion())]
         if start_px is not None:
@@ -344,7 +344,7 @@ class Neighbourhood:
         ]
         fewer = 2.0 * (np.sqrt(best.left_over) - np.sqrt(min(left, default=best.left_over)))
         moved = best.length > STILL and least < best.left_over
-        equal = part and 2.0 * (np.sqrt(least) - np.sqrt(best.left_over)) < MORE
+        equal = self.goes_on and 2.0 * (np.sqrt(least) - np.sqrt(best.left_over)) < MORE
         known = np.count_nonzero(search.known)
         torn = best.unpaired > TORN * known
         gone = fewer > MORE and search.lost(best) < COVERED * known
@@ -434,12 +434,10 @@ class _Search:
         size_px: tuple[int, int] | None,
         start_px: Pixels | None,
         spare_px: Pixels | None,
-        part: bool,
     ) -> None:
         spare = np.zeros((0, 2)) if spare_px is None else spare_px
         self.spare = cKDTree(spare) if len(spare) else None
         self.around, self.spots, self.alike, self.start_px = around, spots, alike, start_px
-        self.part = part
         self.known: Bools = np.asarray(np.isfinite(around.rest_px).all(axis=1))
         self.usable = alike.any(axis=0)
         self.tree = cKDTree(spots)
@@ -546,7 +544,7 @@ class _Search:
         expected, _ = around.predict(pairing.motion)
         beyond = self._free(spot)
         found = []
-        for partner in around.far_partner if self.part else around.partner:
+        for partner in around.far_partner if around.goes_on else around.partner:
             has = (partner >= 0) & self.known & self.known[partner]
             if not has.any():
                 continue

@@ -7,7 +7,7 @@ reason.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -139,10 +139,10 @@ class SoftWindow(CentreEstimator):
             & (level > LEVEL_RATIO[0])
             & (level < LEVEL_RATIO[1])
         )
-        part = here is not self
-        spare_px = look.blobs.centre_px[np.setdiff1d(spare, beyond) if part else spare]
-        spot, ambiguous = here.around.follow(
-            blobs.centre_px, good & blobs.whole, start_px, look.picture_px, spare_px, part
+        around = here.around
+        spare_px = look.blobs.centre_px[np.setdiff1d(spare, beyond) if around.goes_on else spare]
+        spot, ambiguous = around.follow(
+            blobs.centre_px, good & blobs.whole, start_px, look.picture_px, spare_px
         )
         spot, good = spot[: len(self.area_px)], good[: len(self.area_px)]
         state = self._lost_state(blobs, spot, ~good & blobs.whole)
@@ -172,7 +172,7 @@ class SoftWindow(CentreEstimator):
         around = self._whole_lattice.around
         spots = around.rest_px[np.isfinite(around.rest_px[:, 0])]
         alike = np.ones((len(around.rest_px), len(spots)), np.bool_)
-        return around.follow(spots, alike, None, self.look.picture_px, part=True)[1]
+        return around.follow(spots, alike, None, self.look.picture_px)[1]
 
     @cached_property
     def _whole_lattice(self) -> SoftWindow:
@@ -180,10 +180,11 @@ class SoftWindow(CentreEstimator):
         blobs = self.look.blobs
         _, beyond = self._spare
         rest_px = np.concatenate([self.around.rest_px, blobs.centre_px[beyond]])
+        around = Neighbourhood.of(rest_px, self.around.spacing_px)
         return SoftWindow(
             **{f.name: getattr(self, f.name) for f in fields(SoftWindow)}
             | {
-                "around": Neighbourhood.of(rest_px, self.around.spacing_px),
+                "around": replace(around, goes_on=True),
                 "level_dn": np.append(self.level_dn, blobs.level_dn[beyond]),
                 "area_px": np.append(self.area_px, blobs.area_px[beyond]),
             }
