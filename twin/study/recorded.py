@@ -372,6 +372,8 @@ def _other_sensor(rest_px: Pixels, calibration: Calibration) -> str:
         away = rest_px[rows] - place @ affine
         scatter = float(np.sqrt(np.mean((away**2).sum(axis=1)))) / pitch
         if stretch > _STRETCH or apart > _APART or scatter > allowed:
+            if scatter > _SCATTER and stretch <= _STRETCH:
+                remedy = f"does the lens distort (camera.intrinsics), or look askew? Else: {remedy}"
             return (
                 f"the rest picture's {name} markers are not where the calibration has them "
                 f"(stretched or turned by {100 * stretch:.2g} %, {100 * apart:.2g} % unlike "
