@@ -10,6 +10,8 @@ from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.press import Cone, Pillar, Press, Step
 from twin.world.contact import influence as storage
+from twin.world.contact import load_step
+from twin.world.contact.coulomb import solve_coulomb
 from twin.world.contact.influence import DenseInfluence, LatticeInfluence
 from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
 from twin.world.elasticity.compliance import Compliance
@@ -179,6 +181,22 @@ def test_a_path_is_that_of_elimination(body, nu, wanted, monkeypatch):
         near = 1e-8 * other.peak_pressure_mpa
         assert_allclose(one.traction_mpa, other.traction_mpa, atol=near)
         assert_allclose(one.move_mm, other.move_mm, atol=1e-9)
+
+
+def test_newtons_steps_are_few_where_patches_come_and_go_under_a_slide(monkeypatch):
+    """A patch that touches in a part slides freely in it: its equation across has no compliance."""
+    steps = []
+
+    def counted(*given):
+        found = solve_coulomb(*given)
+        steps.append(found.steps)
+        return found
+
+    monkeypatch.setattr(load_step, "solve_coulomb", counted)
+    way = (Step(move_mm={"z": 0.16}),) * 2 + (Step(move_mm={"x": 0.1}),) * 5
+    state = pressed(ball(6, friction=0.3, steps=way), on=elastic(0.5), e=0.5, across=16)
+    assert state.slip[state.traction_mpa[:, 2] > 0.0].all()
+    assert max(steps) <= 10
 
 
 def undone(back, force):

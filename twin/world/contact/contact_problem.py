@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate, pairwise
 from typing import Protocol
 
@@ -585,6 +585,11 @@ class FrictionalContact:
             place[:, :Z] = self.carried_mm
         return self.contacts.contact_jacobian(place.ravel())
 
+    @cached_property
+    def rubs(self) -> Bools:
+        """(k,) which patches belong to a probe with friction."""
+        return np.asarray(self.friction[self.contacts.owner] > 0.0)
+
     def untouched(self, history: ContactHistory) -> Bools:
         """Return (k,) which patches belong to a probe that touches nothing."""
         none = [not history.touched[rows].any() for _, rows, _ in self.contacts.rows]
@@ -631,7 +636,12 @@ class FrictionalContact:
 
     def gap(self, history: ContactHistory, pose: Floats) -> tuple[Floats, Floats]:
         """Return (k,) gaps and (k, 6 p) slopes at a place."""
-        towards = self._normal_motion(history)
+        return self._gap_along(self._normal_motion(history), history, pose)
+
+    def _gap_along(
+        self, towards: Floats, history: ContactHistory, pose: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return `gap` from `_normal_motion`, which no place changes."""
         lowered = towards * pose[self.contacts.along_z][:, None]
         gap, slope = self._slid_gap(history.slid_mm, lowered)
         own = slope.reshape(len(gap), -1, MOTIONS)[:, :, : Z + 1]
@@ -640,7 +650,7 @@ class FrictionalContact:
         normal = self.contact_jacobian[:, 2]
         slope = np.where(self.contacts.along_z, along_z, -normal)
         gap = gap - normal @ self.sideways(pose)
-        stuck = history.touched & (self.friction[self.contacts.owner] > 0.0)
+        stuck = history.touched & self.rubs
         gap[stuck] = (
             history.closed_mm[stuck] + self._slid_since(history)[stuck] - normal[stuck] @ pose
         )
@@ -691,7 +701,7 @@ class FrictionalContact:
         frictional = history.touched | self.untouched(history) | (False if held is None else held)
         return UnilateralProblem(
             influence=self.influence,
-            gap=lambda q: self.gap(history, q),
+            gap=partial(self._gap_along, self._normal_motion(history), history),
             contact_jacobian=self.contact_jacobian,
             by_force=control.by_force,
             given=control.given,

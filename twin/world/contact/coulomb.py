@@ -214,14 +214,15 @@ class _NewtonSystem:
         """Return the solution by GMRES in single precision, lengths over the compliance's unit;
         None if out of reach.
 
-        Equations across the drag are multiplied by c: the preconditioner shares its root between
-        rows and columns.
+        Equations across the drag are multiplied by c. The preconditioner shares its root between
+        rows and columns, and adds 1 - c for the shift: at c = 0, as without friction, nothing else
+        is left of such an equation.
         """
         status = self.status
         across = status.across
         unit = influence.unit
         influence.select(status.touching)
-        turned = np.maximum(status.share, 1e-20).astype(np.float32)
+        turned = status.share.astype(np.float32)
         shift = (self.shift / unit).astype(np.float32)
         root: Any = np.ones((status.size, 1), np.float32)
         root[across, 0] = np.sqrt(turned)
@@ -232,9 +233,9 @@ class _NewtonSystem:
             return out
 
         def approx_solve(y: Floats) -> Floats:
-            return np.asarray(
-                status.restrict(influence.approx_solve(status.prolong(y / root))) * root
-            )
+            out = status.restrict(influence.approx_solve(status.prolong(y * root))) * root
+            out[across] += (1.0 - turned)[:, None] * y[across]
+            return np.asarray(out)
 
         system = SaddlePoint(
             product=product,

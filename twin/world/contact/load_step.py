@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -43,7 +42,7 @@ _BISECTIONS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Prediction:
+class _Guess:
     """Forces (k, 3), a place (6 p,) and patches in contact (k,) to start from, and displacements
     where known."""
 
@@ -52,13 +51,41 @@ class _Prediction:
     active: Bools
     displacement_mm: Floats | None = None
 
+    @classmethod
+    def of(cls, found: Equilibrium) -> _Guess:
+        """Return an equilibrium."""
+        return cls(
+            force_n=found.force_n,
+            pose=found.pose,
+            active=found.active,
+            displacement_mm=found.displacement_mm,
+        )
 
-_Guess: TypeAlias = Equilibrium | _Prediction
+    @classmethod
+    def at(cls, history: ContactHistory) -> _Guess:
+        """Return where a history ends."""
+        return cls(
+            force_n=history.force_n,
+            pose=history.pose,
+            active=history.touched,
+            displacement_mm=history.displacement_mm,
+        )
+
+    def on_line(self, other: _Guess, share: float) -> _Guess:
+        """Return what lies on a straight line to another, at a share of the way; above 1 beyond
+        it."""
+        assert self.displacement_mm is not None
+        assert other.displacement_mm is not None
+        return _Guess(
+            force_n=self.force_n + share * (other.force_n - self.force_n),
+            pose=self.pose + share * (other.pose - self.pose),
+            active=(self if share < 1.0 else other).active,
+            displacement_mm=self.displacement_mm
+            + share * (other.displacement_mm - self.displacement_mm),
+        )
 
 
-def _extrapolate_step(
-    history: ContactHistory, control: Control, start: Floats
-) -> _Prediction | None:
+def _extrapolate_step(history: ContactHistory, control: Control, start: Floats) -> _Guess | None:
     """Return what a step leads to if it changes as the last one did; None where it doesn't go on in
     the same way."""
     if history.trend is None:
@@ -74,19 +101,7 @@ def _extrapolate_step(
         return None
     force = history.force_n + share * history.trend.force_n
     pose = np.where(control.by_force, history.pose + share * history.trend.pose, control.given)
-    return _Prediction(force_n=force, pose=pose, active=history.touched)
-
-
-def _extrapolate_part(before: Equilibrium | None, now: Equilibrium | None) -> _Guess | None:
-    """Return what the next part leads to if it changes as the last one did."""
-    if before is None or now is None:
-        return now
-    return _Prediction(
-        force_n=2.0 * now.force_n - before.force_n,
-        pose=2.0 * now.pose - before.pose,
-        active=now.active,
-        displacement_mm=2.0 * now.displacement_mm - before.displacement_mm,
-    )
+    return _Guess(force_n=force, pose=pose, active=history.touched)
 
 
 def _predict(
@@ -107,7 +122,7 @@ def _predict(
         pushed = _predict_frictionless(grid, problem, history, control, active)
         force = pushed.force_n
         pose = pushed.pose
-    return _Prediction(force_n=_predict_shear(problem, force), pose=pose, active=active)
+    return _Guess(force_n=_predict_shear(problem, force), pose=pose, active=active)
 
 
 def _predict_active(
@@ -272,6 +287,8 @@ def _refuse_slide(grid: FrictionalContact, history: ContactHistory) -> None:
     for number, (setup, _, _) in enumerate(grid.contacts.rows):
         patches = grid.contacts.grids[number]
         moved = history.slid_mm[number]
+        if not moved.any():
+            continue
         slid = float(np.hypot(*moved))
         if setup.face is None:
             flat = patches.centre_mm @ setup.first.axes[:Z].T
@@ -323,7 +340,7 @@ def _part(
     )
     given = np.where(control.by_force, control.given / share, control.given)
     if guess is not None:
-        guess = _Prediction(force_n=guess.force_n / share, pose=guess.pose, active=guess.active)
+        guess = replace(guess, force_n=guess.force_n / share, displacement_mm=None)
     slid, found = _elastic_part(grid, elastic, replace(control, given=given), guess, held)
     found = replace(
         found,
@@ -351,9 +368,7 @@ def _elastic_part(
     faces = all(setup.face is not None for setup in grid.contacts.setups)
     predicted = _predict(here, problem, history, control, guess)
     if faces and start.any():  # the displacement may be that of patches elsewhere
-        predicted = _Prediction(
-            force_n=predicted.force_n, pose=predicted.pose, active=predicted.active
-        )
+        predicted = replace(predicted, displacement_mm=None)
     found = _from_guess(problem, predicted)
     share = 1.0
     before = np.zeros_like(start)
@@ -469,22 +484,23 @@ def _pass(
     history: ContactHistory,
     control: Control,
     guess: _Guess | None,
+    known: tuple[ContactHistory, Equilibrium] | None = None,
 ) -> tuple[ContactHistory, Equilibrium]:
     """Solve one part, with the patches that touch within it held by friction from where they
-    touched."""
+    touched; ``known`` is what it leads to where these slide, if that is solved."""
     try:
-        slid, found = _part(grid, history, control, guess)
+        slid, found = known or _part(grid, history, control, guess)
     except ContactError:
         if grid.sticks or not history.touched.any():
             raise
         # The old patches alone may not carry what the new ones help to: hold those from the start
         # of the part.
         return _part(grid, history, control, guess, held=~history.touched)
-    new = found.active & ~history.touched & ~grid.untouched(history)
+    new = found.active & ~history.touched & ~grid.untouched(history) & grid.rubs
     if history.touched.any() and new.any():
         seconds = control.time_s - history.time_s
         touching = _held_on_the_way(grid, history, found, new, seconds)
-        return _part(grid, touching, control, found, held=new)
+        return _part(grid, touching, control, _Guess.of(found), held=new)
     return slid, found
 
 
@@ -494,11 +510,13 @@ def _advance(
     control: Control,
     guess: _Guess | None,
     wanted: Control,
+    known: tuple[ContactHistory, Equilibrium] | None = None,
     halvings: int = _HALVINGS,
 ) -> tuple[ContactHistory, Equilibrium]:
-    """Take one part of a step to ``wanted``, in halves where it finds no equilibrium at once."""
+    """Take one part of a step to ``wanted``, in halves where it finds no equilibrium at once;
+    ``known`` as of `_pass`."""
     try:
-        slid, found = _pass(grid, history, control, guess)
+        slid, found = _pass(grid, history, control, guess, known)
         return _remember(grid, slid, found, control.time_s), found
     except ContactError as problem_found:
         if grid.sticks:
@@ -513,8 +531,8 @@ def _advance(
         given=(start + control.given) / 2,
         time_s=(history.time_s + control.time_s) / 2,
     )
-    history, found = _advance(grid, history, half, guess, wanted, halvings - 1)
-    return _advance(grid, history, control, found, wanted, halvings - 1)
+    history, found = _advance(grid, history, half, guess, wanted, halvings=halvings - 1)
+    return _advance(grid, history, control, _Guess.of(found), wanted, halvings=halvings - 1)
 
 
 def _parts(history: ContactHistory, found: Equilibrium, control: Control, most: int) -> int:
@@ -583,8 +601,9 @@ def load_step(
         A part has no equilibrium, or a probe slides too far; `NotSettled` when the first part
         doesn't converge.
     """
+    whole = None
+    guess = None
     before = None
-    previous = None
     first = history
     start = np.where(control.by_force, history.total, history.pose)
 
@@ -598,18 +617,20 @@ def load_step(
 
     if history.touched.any():
         try:
-            _, found = _part(grid, history, control, _extrapolate_step(history, control, start))
+            whole = _part(grid, history, control, _extrapolate_step(history, control, start))
         except ContactError:
             pass  # a large step may fail where its parts succeed
         else:
-            changed = found.active & ~history.touched | found.slipping
+            _, there = whole
+            changed = there.active & ~history.touched | there.slipping
             if history.memory is not None:
                 # Elastic forces change linearly in time where the same patches are moved.
-                changed |= (found.active != history.touched) | bool(control.by_force.any())
+                changed |= (there.active != history.touched) | bool(control.by_force.any())
             if not changed.any():
-                return with_trend(_remember(grid, history, found, control.time_s)), found, ""
-            increments = _parts(history, found, control, increments)
-            previous = found if increments == 1 else None
+                return with_trend(_remember(grid, history, there, control.time_s)), there, ""
+            increments = _parts(history, there, control, increments)
+            before = _Guess.at(history)
+            guess = before.on_line(_Guess.of(there), 1.0 / increments)
     way = np.where(control.by_force, 0.0, control.given - start)
     increments = _slide_parts(grid, history, way, increments)
     powers = np.ones(len(start))
@@ -621,6 +642,7 @@ def load_step(
             powers[motions] = np.where(control.by_force[motions], force, motion)
     if history.memory is not None:
         powers[:] = powers.max()  # all that is given changes linearly in time
+    found = None
     for part in range(1, increments + 1):
         share = (part / increments) ** powers
         now = Control(
@@ -631,17 +653,18 @@ def load_step(
         _refuse_slide(grid, history)
         try:
             history, found = _advance(
-                grid, history, now, _extrapolate_part(before, previous), control
+                grid, history, now, guess, control, whole if increments == 1 else None
             )
-            before = previous
-            previous = found
         except NotSettled as stopped:
-            if part == 1 or previous is None:
+            if found is None:
                 raise
-            return history, previous, f"stopped after {part - 1} of {increments} parts: {stopped}"
+            return history, found, f"stopped after {part - 1} of {increments} parts: {stopped}"
         except ContactError as refused:
             _raise_limit_load(grid, history, control, refused, least=1.0 - _KNOWN_TO)
             raise
+        here = _Guess.at(history)
+        guess = here if before is None else before.on_line(here, 2.0)
+        before = here
     _refuse_slide(grid, history)
-    assert previous is not None, "a step has at least one part"
-    return with_trend(history), previous, ""
+    assert found is not None, "a step has at least one part"
+    return with_trend(history), found, ""
