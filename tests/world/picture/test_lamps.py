@@ -48,6 +48,19 @@ def test_the_image_on_the_axis_is_the_paraxial_one():
     assert_allclose(lamps.place[0, 0], [10, 5, 4 + apparent], atol=1e-6)
 
 
+def test_the_power_of_an_image_changes_as_its_light_does():
+    """Close to a grazing LED: light at places around, from images of the place in the middle."""
+    made = changed(scene(), light={"positions_mm": ((4.0, 4.0, 51.0), (-3.0, 0.0, 60.0))})
+    middle, rng = np.array([[0.5, -2.0, 37.0]]), np.random.default_rng(3)
+    lamps = Lamps.at(middle, made, changing=True)
+    off = 0.1 * rng.normal(size=(40, 3))
+    exact = Lamps.at(middle + off, made)
+    wanted = exact.power / np.sum((exact.place - (middle + off)[:, None]) ** 2, axis=2)
+    away = np.sum((lamps.place - (middle + off)[:, None]) ** 2, axis=2)
+    still, moved = (wanted - (lamps.power + share * off @ lamps.change[0].T) / away for share in (0, 1))
+    assert np.abs(moved).max() < 0.1 * np.abs(still).max()
+
+
 def test_images_stand_along_the_rays_of_the_cameras_closed_form():
     layers = (Camera.Layer(index=1.49, thickness_mm=2.0), Camera.Layer(index=1.6, thickness_mm=0.5))
     lights = np.array([[4.0, 4, 42.5], [-20, 3, 43], [0, 0, 90]])

@@ -215,7 +215,8 @@ class MitsubaTracer:
         included: of a channel where all are alike, of three under coloured LEDs."""
         mi, dr = self._mi, self._dr
         leds = job.lamps.shape[1]
-        lamps = mi.Float(_aligned(job.lamps.astype(np.float32).ravel()))
+        lamps = mi.Float(_aligned(job.lamps[:, :, :4].astype(np.float32).ravel()))
+        changes = mi.Float(_aligned(job.lamps[:, :, 4:].astype(np.float32).ravel()))
         shadowed = mi.Bool(_aligned(np.diff(job.occluder_first) > 0))
         coloured = len(job.tints) > 1
         tints = mi.Float(_aligned(job.tints.T.astype(np.float32).ravel()))
@@ -245,7 +246,9 @@ class MitsubaTracer:
             dark = dr.while_loop(
                 state, lambda _, going, depth, __: going & (depth < _DEPTH), one_occluder
             )[3]
-            share = dr.select(facing & ~dark, lamp.w * cosine * inverse * inverse, 0)
+            change = dr.gather(mi.Vector3f, changes, marker * leds + led, active)
+            power = dr.maximum(lamp.w + dr.dot(change, away), 0)
+            share = dr.select(facing & ~dark, power * cosine * inverse * inverse, 0)
             if coloured:
                 share = dr.gather(mi.Vector3f, tints, led, active) * share
             return led + 1, total + share, marker, centre, away, normal, active

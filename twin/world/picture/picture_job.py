@@ -91,7 +91,8 @@ class PictureJob:
         (n,) how much larger than a marker a search for its edge has to be, and a height just behind
         each marker, -inf where it isn't seen.
     lamps
-        (n, leds, 4) place and power of the LEDs' images per marker.
+        (n, leds, 7) place and power of the LEDs' images per marker, and the power's change along x,
+        y and z.
     tints, even
         (k, leds) shares of these powers by channel, and the (k,) colour of the even light: of
         `Light.tints`, k = 1 for white light.
@@ -182,9 +183,11 @@ class PictureJob:
         behind_mm = float(np.max(top_mm, initial=0.0))
 
         # Lamps and shadows: which markers may lie between a marker and each lamp.
-        lamps = Lamps.at(centres, scene)
+        lamps = Lamps.at(centres, scene, changing=True)
+        assert lamps.change is not None
         place = (lamps.place - [0.0, 0.0, behind_mm]) / unit_mm
-        power = lamps.power / (full_power * unit_mm**2)
+        full = full_power * unit_mm**2
+        power = lamps.power[:, :, None] / full
         tints, even = scene.imaging[1].tints()
         # Gershgorin's bound on the largest eigenvalue of A^T A: the longest semi-axis, squared.
         gram = np.swapaxes(axes, 1, 2) @ axes
@@ -213,7 +216,7 @@ class PictureJob:
             metric=_metric(scaled),
             pad=pad_mm / unit_mm,
             top=(top_mm - behind_mm) / unit_mm,
-            lamps=np.concatenate([place, power[:, :, None]], axis=2),
+            lamps=np.concatenate([place, power, lamps.change * (unit_mm / full)], axis=2),
             tints=tints,
             even=even,
             occluder_first=occluder_first,

@@ -478,11 +478,16 @@ def _shade_isolated(
                         lx = np.float32(lamps[i, led, 0] - cx)
                         ly = np.float32(lamps[i, led, 1] - cy)
                         lz = np.float32(lamps[i, led, 2] - cz)
+                        gx = np.float32(lamps[i, led, 4])
+                        gy = np.float32(lamps[i, led, 5])
+                        gz = np.float32(lamps[i, led, 6])
                         for j in range(lanes):
                             tx, ty, tz = lx - w[_X + j], ly - w[_Y + j], lz - w[_Z + j]
                             square = max(tx * tx + ty * ty + tz * tz, _FAINT)
                             cosine = w[_NX + j] * tx + w[_NY + j] * ty + w[_NZ + j] * tz
-                            w[_CLEAR + j] = power * max(cosine, _ZERO) / (square * np.sqrt(square))
+                            sends = power + gx * w[_X + j] + gy * w[_Y + j] + gz * w[_Z + j]
+                            lit = max(sends, _ZERO) * max(cosine, _ZERO)
+                            w[_CLEAR + j] = lit / (square * np.sqrt(square))
                         pair = i * leds + led
                         for dark in range(dark_first[pair], dark_first[pair + 1]):
                             other = dark_members[dark]
@@ -718,7 +723,10 @@ def _shade_overlapping(
                                 step,
                                 k,
                             )
-                        lit = power * cosine * open_share / (square * np.sqrt(square))
+                        for axis in range(3):
+                            away = hit[at, 1 + axis] - centres[marker, axis]
+                            power += lamps[marker, led, 4 + axis] * away
+                        lit = max(power, 0.0) * cosine * open_share / (square * np.sqrt(square))
                         for c in range(channels):
                             total[c] += tints[c, led] * lit
                     for c in range(channels):
