@@ -15,6 +15,7 @@ from twin.errors import InputError, RecipeError
 from twin.study.doubts import View, doubts
 from twin.study.new_scene import Pad
 from twin.study.recipe import load_scene, shipped_scenes
+from twin.study.run import run
 from twin.study.sensor import Sensor
 
 FLAT = "kamiyama_pillar"
@@ -234,3 +235,10 @@ def test_a_descriptions_signature_holds_names_and_defaults() -> None:
     shown = inspect.signature(twin.Scene).parameters
     assert set(shown) == set(twin.Scene.model_fields) - {"source", "assumed"}
     assert shown["markers"].default == {}
+
+
+def test_a_picture_of_leds_that_take_turns_is_said_to_show_the_first_group():
+    for lit, count in (([[0], [1, 2]], 1), ([[0, 1]], 0), ([], 0)):
+        scene = load_scene("gelpad_press", {"light.lit": lit, "camera.width_px": 80, "camera.height_px": 60})
+        facts = run(scene, want=("picture",)).facts
+        assert sum("only the first of 2 groups" in line for line in facts.get("warnings", ())) == count

@@ -350,6 +350,15 @@ class Light(Part):
             for group in self.lit
         ]
 
+    def turns(self) -> list[str]:
+        """Return a warning for what sees only the first of the groups, if there are more."""
+        if len(self.lit) < 2:
+            return []
+        return [
+            f"light.lit: only the first of {len(self.lit)} groups of LEDs, {list(self.lit[0])}, is "
+            "lit here; films (twin run --film), datasets with every_step and environments show all"
+        ]
+
     @property
     def powers(self) -> Floats:
         """(n, 3) red, green and blue power of each LED."""

@@ -319,6 +319,8 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
         if bound_px is not None and np.isfinite(bound_px).any():
             noise_px = float(np.nanmedian(bound_px))
         warned += _unseen(scene, shift_px, noise_px)
+    if "picture" in needed and scene.light is not None and ends_s is None:
+        warned += scene.light.turns()
     if warned := [*warned, *_tracking_doubt(tracking)]:
         facts["warnings"] = warned
     if failures:

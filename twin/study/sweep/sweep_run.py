@@ -591,6 +591,8 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
             "the linear fidelity takes method smooth for local, which is not linear: with one "
             'layer of markers its force errors are far too large; add "full" to fidelity'
         )
+    if (done.fidelity == "full").any():
+        done.warnings += done.designs.scene.imaging[1].turns()
     done.notes = [*enough, *_notes(done, runner, coarse)]
     return done
 
