@@ -16,6 +16,7 @@ import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -227,13 +228,20 @@ def _sensors(scene: str) -> tuple[Sensor, ...]:
     return tuple(Sensor(load_scene(scene, {**overrides, "material.law": law})) for law in LAWS)
 
 
-def _left(state: ContactState, more: Points, true: Points, size: float) -> Row:
-    """Return how far linear theory and the program are off what large strain adds, over the largest displacement."""
-    off, left = (float(np.linalg.norm(each, axis=1).max()) / size for each in (true, more - true))
-    assert state.error is not None
-    stated = state.error.strain.markers
-    cube = body_strain._RUBS_OVER_CUBE * state.load.strained.linear_error**3
-    return {"linear_off": off, "left": left, "stated": stated, "ratio": stated / left, "without_cube": stated - cube}
+def _left(state: ContactState, places: Points, true: Points, size: float) -> Row:
+    """Return how far linear theory and the program are off what large strain adds at places, over the largest
+    displacement, and what is stated where those are watched."""
+    more = state.load.strained
+    assert isinstance(more, body_strain.BodyStrain)
+    off, left = (float(np.linalg.norm(each, axis=1).max()) / size for each in (true, more.displacement(places) - true))
+    there = copy(more)
+    there._watched = places
+    for name in ("error", "linear_error", "_largest_mm"):
+        vars(there).pop(name, None)
+    stated = there.error.markers
+    stuck = (1.0 - state.slip_share) * body_strain._STUCK_OVER_CUBE * there.linear_error**3
+    row: Row = {"linear_off": off, "left": left, "stated": stated, "ratio": stated / left}
+    return row | {"without_cube": stated - stuck}
 
 
 def _held(state: ContactState, linear: float, got: float, true: float) -> Row:
@@ -262,14 +270,14 @@ def _rubbed(case: Rubbed) -> Iterator[Row]:
         truth = sensors[1].press(press_).path
     for number, (linear, state, finer) in enumerate(zip(straight, path, truth, strict=True)):
         size = np.linalg.norm(sensors[0].displacement(places, linear), axis=1).max()
-        more, true = (one.load.strained.displacement(places) for one in (state, finer))
+        true = finer.load.strained.displacement(places)
         row = {
             "scene": case.scene,
             "diameter_mm": case.diameter_mm,
             "friction": case.friction,
             "path": f"pressed, {case.push_n:g} N" if number == 0 else f"then {case.then}",
             "slipping": float(np.mean(linear.slip)),
-            **_left(state, more, true, size),
+            **_left(state, places, true, size),
         }
         if number and "move_mm" in case.then:
             row |= _held(state, *(float(one.force_n[0]) for one in (linear, state, finer)))
@@ -299,9 +307,8 @@ def stuck() -> Iterator[Row]:
     _, path = paths(Step(force_n=(side, 0.0, push)))
     for state, step in zip(path, truth["steps"], strict=True):
         before, after = np.array(step["linear_mm"]), np.array(step["strained_mm"])
-        more = state.load.strained.displacement(places)
         row: Row = {"force_n": step["force_n"]}
-        yield row | _left(state, more, after - before, float(np.linalg.norm(before, axis=1).max()))
+        yield row | _left(state, places, after - before, float(np.linalg.norm(before, axis=1).max()))
     there = Step(force_n=(None, None, push), move_mm=(float(path[1].move_mm[0]), 0.0, None))
     linear, moved = (one[1] for one in paths(there))
     yield {"force_n": "by a motion"} | _held(moved, float(linear.force_n[0]), float(moved.force_n[0]), side)
@@ -318,7 +325,7 @@ def turned() -> Iterator[Row]:
         moved = np.array(step["moved_mm"]) - sensors[0].displacement(places, linear)
         size = float(np.linalg.norm(step["moved_mm"], axis=1).max())
         row: Row = {"turn_deg": truth["turns_deg"][number], "slipping": float(np.mean(linear.slip))}
-        row |= _left(state, state.load.strained.displacement(places), moved, size)
+        row |= _left(state, places, moved, size)
         if number:
             row |= _held(state, linear.torque_nmm, state.torque_nmm, step["torque_nmm"])
         yield row
