@@ -110,23 +110,25 @@ def test_patches_cut_the_border_of_a_contact_that_no_closed_form_gives():
     assert off < state.error.force < 3.0 * off
 
 
-def test_a_rim_that_patches_cut_pushes_sideways_next_to_an_edge():
+def test_patches_that_end_with_the_contact_push_a_rim_sideways_little_next_to_an_edge():
     near = {"probe": {"kind": "cylinder", "diameter_mm": 1.73, "edge_mm": 0.173}, "at_mm": [0.86, -0.86],
             "friction": 0.3, "steps": [{"force_n": {"z": 0.268}}]}  # fmt: skip
     state, finer = (on_block(across, (11.18, 6.9, 2.3), 2.33, 0.3, **near) for across in (12, 24))
     off, _ = relative(finer, state)
-    assert off < state.error.force < 3.0 * off
+    assert off < state.error.force < 5e-4
 
 
 @pytest.mark.parametrize(
     ("probe", "across"),
     [(Cylinder(diameter_mm=5, edge_mm=0.375), 13), (Pillar(width_mm=5, length_mm=4, edge_mm=0.125), 16)],
 )
-def test_patches_end_by_chance_on_a_rounded_rim(probe, across):
+def test_patches_follow_where_contact_ends_on_a_rounded_rim(probe, across):
+    """Where they ended by chance the force was 0.6 and 1.1 % off."""
     wanted = Press(probe=probe, indentation_mm=0.2)
     state = pressed(wanted, across=across)
     off, _ = relative(pressed(wanted, across=38), state)
-    assert off < state.error.force < 2.0 * off
+    assert off < 0.0025
+    assert off < state.error.force < 5.0 * off
 
 
 def test_where_wider_patches_run_over_the_edge_narrower_ones_tell_the_error():
@@ -256,8 +258,7 @@ def test_a_press_on_a_thin_layer_knows_how_far_it_is_off(thickness, radius, nu):
     off = abs(deep.force_n[2] / true - 1.0), abs(loaded.indentation_mm / 0.1 - 1.0)
     for have, said in zip(off, (errors[0].force, errors[1].indentation), strict=True):
         assert have < 3e-3
-        # What is stated where no closed form fits the grid holds other thin layers; these it overstates.
-        assert have / 3.0 <= said <= 4.0 * have + 2.5e-3
+        assert have / 3.0 <= said <= 4.0 * have + 1e-3
     assert max(errors[0].body.force, errors[1].body.indentation) < 1e-4
     # What the patches leave of the displacement right below them is not what is pressed here.
     said = [str(one.message) for one in warned if one.category is AccuracyWarning]

@@ -143,7 +143,7 @@ class ProbeSetup:
         ContactError
             None lies on the sensing surface.
         """
-        found = Patches.under(self.body, self.face, plane, box, across)
+        found = Patches.under(self.body, box.face or self.face, plane, box, across)
         if len(found) == 0:
             raise ContactError(
                 f"contact: under the {self.name} no patch lies on the sensing surface: move it "

@@ -81,7 +81,10 @@ def _with_margin(contact: Box, u: float, v: float) -> Box:
 
 _COARSE = 10
 _ROUNDS = 14
-_FILL = 0.4
+_FILL, _FITS = 0.4, 0.6
+"""Least size of a contact over that of a coarse grid which fits it; and of one whose outline is to
+be told by its pressures."""
+
 _PATIENCE = 10
 """Tries after which a grid that holds the contact will do although the contact fills little of it:
 a corner's, whose ends reach the border of any grid that fits it more closely."""
@@ -218,8 +221,8 @@ def closed_form_contact(
     """Return what `find_contact` does without a search, for an upright sphere, cone or flat face on
     a flat surface.
 
-    Under a flat face it is the face, up to the middle of its rim; under a sphere or a cone a closed
-    form gives it.
+    Under a flat face it is the face, of a rounded rim as much as touches under the force, which a
+    solve on coarse patches gives; under a sphere or a cone a closed form gives it.
     """
     axes = setup.first.axes
     face = setup.face
@@ -245,7 +248,30 @@ def closed_form_contact(
             return None
     if by_force[Z]:
         pose[Z] = touch_z + depth
-    return box if face is None else box.grown(-face.edge_mm / 2, -face.edge_mm / 2), pose
+    if face is not None and face.edge_mm > 0.0:
+        box = _on_rim(setup, control, plane, box, pose, touch_z)
+    return box, pose
+
+
+def _on_rim(
+    setup: ProbeSetup, control: Control, plane: Plane, box: Box, pose: Floats, touch_z: float
+) -> Box:
+    """Return what touches of an upright flat face with a rounded rim; as far as the rim's middle
+    where a torque may incline it, or most of it is rim."""
+    face = setup.face
+    assert face is not None
+    pressed = None
+    if not control.by_force[ABOUT_X:TURN].any():
+        force = float(control.given[Z])
+        if not control.by_force[Z]:
+            patches = setup.patches(plane, box, _counts(_COARSE, box, box))
+            contacts = ContactProblem((setup,), (patches,))
+            found = solve_frictionless(contacts, control, pose, np.array([touch_z]))
+            force = float(found.total[Z])
+        pressed = face.pressed(force * (1.0 - setup.poisson_ratio**2) / setup.youngs_modulus_mpa)
+    if pressed is None:
+        return box.grown(-face.edge_mm / 2, -face.edge_mm / 2)
+    return _square(*pressed.half_mm)._replace(face=pressed)
 
 
 def _ends_at(contacts: ContactProblem) -> Floats:
@@ -475,7 +501,8 @@ def _find_on_grids(
             continue
         if setup.face is not None and found.active.all():
             return plane, whole, pose
-        contact = patches.bounds(found.active)
+        outline = _within_outline(setup, patches, found)
+        contact = outline or patches.bounds(found.active)
         if turns and (turn := _turn_along(patches, found.active)) is not None:
             turns -= 1
             plane = Plane(origin_mm=plane.origin_mm, axes=turn @ plane.axes)
@@ -486,10 +513,9 @@ def _find_on_grids(
             larger = whole.grown(0.1 * whole.size[0], 0.1 * whole.size[1])
             box = contact.grown(0.3 * contact.size[0], 0.3 * contact.size[1])
             box = box if setup.face is None and box.is_long else box.joined(larger)
-        elif (
-            tried < _PATIENCE
-            and min(c / w for c, w in zip(contact.size, whole.size, strict=True)) < _FILL
-        ):
+        elif tried < _PATIENCE and min(
+            c / w for c, w in zip(contact.size, whole.size, strict=True)
+        ) < (_FILL if outline is None else _FITS):
             box = _with_margin(contact, *patches.cell_mm[found.active].max(axis=0))
         else:
             return plane, contact, pose
@@ -499,6 +525,22 @@ def _find_on_grids(
         f"{whole.size[0]:.3g} by {whole.size[1]:.3g} mm): press harder, hold x, y and the turns by "
         "motion, or round the probe where it touches (edge_mm, tip_mm)"
     )
+
+
+def _within_outline(setup: ProbeSetup, patches: Patches, found: Equilibrium) -> Box | None:
+    """Return the box that is to be filled with patches where a smooth probe's pressures tell its
+    contact's outline."""
+    cone = isinstance(setup.probe, Cone)
+    if not (cone or isinstance(setup.probe, Sphere)):
+        return None
+    rows = np.flatnonzero(found.active)
+    outline = patches.outline(rows, found.force_n[rows, 2] / patches.area_mm2[rows], bent=cone)
+    if outline is None:
+        return None
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    spare = (1.0 - _INNER) / 2.0 * (high - low)
+    (u0, v0), (u1, v1) = (low + spare).tolist(), (high - spare).tolist()
+    return Box(u0=u0, u1=u1, v0=v0, v1=v1)
 
 
 def _find_overlap(

@@ -23,25 +23,6 @@ from twin.world.contact.contact_problem import ProbeSetup
 from twin.world.contact.probe_gap import ABOUT_X, TURN, Z
 from twin.world.contact.surface_patches import Patches
 
-_RAYS = 60
-_ALONG = 240
-_NEAR = 0.3
-_FAR = 1.5
-"""Rays from a contact's middle along which its end is sought, steps along each, and where over its
-size."""
-
-_EVEN = 1.0 + 1e-9
-"""Pressures of patches that lie alike are equal up to this."""
-
-_OWN = 1e-9
-"""Least singular value of a fit over the largest: terms that others make up (patches in two rows)
-are left out."""
-
-_FEWEST = 12
-_APART = 0.15
-"""Patches from which on a fit is made, and how far it may be from their sum."""
-
-
 _COUPLED = 0.1
 """(1 - 2 nu) / (2 (1 - nu)) from which on what sticks under a sphere bends the pressure as a cone
 does: measured at 16 and 24 patches across, nu = 0.3: 0.3 % of the radius for 1.3 % low; nu = 0: 0.7
@@ -53,62 +34,23 @@ def _contact_area(
 ) -> float:
     """Return the area of the contact, mm2.
 
-    Notes
-    -----
-    Under any smooth probe the squared pressure vanishes linearly at the contact's border. Hertz's
-    is a quadratic of the place; a deep sphere's has a fourth-order term, too, and near the border
-    so have a cone's and that of a sphere that sticks to compressible rubber (D. A. Spence 1968).
-    Where the fit vanishes, the contact ends. Validity: contacts near an ellipse. The fit is dropped
-    for the sum of the patches, which is 1 to 4 % off, where the two differ by more than 15 %, below
-    12 patches, and under any other probe.
+    Under a sphere or a cone it is within the outline that the pressures give; without one, and
+    under any other probe, the sum of the patches, which is 1 to 4 % off.
     """
     nu = setup.poisson_ratio
     cone = isinstance(setup.probe, Cone)
-    smooth = cone or isinstance(setup.probe, Sphere)
-    bent = cone or (friction > 0.0 and 1.0 - 2.0 * nu > _COUPLED * 2.0 * (1.0 - nu))
     rows = np.flatnonzero(equilibrium.active)
     area = patches.area_mm2[rows]
     counted = float(area.sum())
-    if not smooth or len(rows) < _FEWEST:
+    if not (cone or isinstance(setup.probe, Sphere)):
         return counted
-    pressure = equilibrium.force_n[rows, 2] / area
-    used = pressure <= _EVEN * np.median(pressure) if bent else np.ones(len(rows), bool)
+    bent = cone or (friction > 0.0 and 1.0 - 2.0 * nu > _COUPLED * 2.0 * (1.0 - nu))
+    outline = patches.outline(rows, equilibrium.force_n[rows, 2] / area, bent=bent)
+    if outline is None:
+        return counted
+    u, v = (outline - patches.middle_mm[rows].mean(axis=0)).T
     flat = float(4.0 * np.prod(patches.cell_mm[rows], axis=1).sum())
-    fitted = _area_under(patches.middle_mm[rows], pressure, used) * counted / flat
-    return fitted if abs(fitted / counted - 1.0) < _APART else counted
-
-
-def _area_under(place: Floats, pressure: Floats, used: Bools) -> float:
-    """Return the area of a contact from its (k,) pressures at places (k, 2), mm2.
-
-    The squared pressures that are ``used`` are fitted by least squares with a polynomial of 1, u,
-    v, u^2, u v, v^2 and (u^2 + v^2)^2, where (u, v) is the place from the mean of all places. The
-    contact ends where it first vanishes on a ray from there; inf where a ray has no end between 0.3
-    and 1.5 of the largest distance from the mean.
-    """
-    away = place - place.mean(axis=0)
-    size = float(np.abs(away).max())
-    u, v = away[used].T / size
-    squared = u * u + v * v
-    terms = np.column_stack([np.ones(len(u)), u, v, u * u, u * v, v * v, squared**2])
-    wanted = (pressure[used] / pressure.max()) ** 2
-    found = np.linalg.lstsq(terms, wanted, rcond=_OWN)[0]
-    angle = 2.0 * math.pi / _RAYS * np.arange(_RAYS)
-    cosine = np.cos(angle)[:, None]
-    sine = np.sin(angle)[:, None]
-    radius = np.linspace(_NEAR, _FAR, _ALONG)
-    first = found[1] * cosine + found[2] * sine
-    second = found[3] * cosine**2 + found[4] * cosine * sine + found[5] * sine**2
-    height = found[0] + radius * (first + radius * (second + radius**2 * found[6]))
-    below = height < 0.0
-    end = below.argmax(axis=1)
-    if np.any(end == 0):  # a ray that never, or at once, lies below 0
-        return math.inf
-    rays = np.arange(_RAYS)
-    here = height[rays, end]
-    before = height[rays, end - 1]
-    ends = radius[end] - (radius[1] - radius[0]) * here / (here - before)
-    return math.pi * float(size**2 * np.mean(ends**2))
+    return math.pi * float(np.mean(u * u + v * v)) * counted / flat
 
 
 _RATIO_LIMIT = 0.3

@@ -51,11 +51,13 @@ that grows with their cube, and no part of the press's error is as small as what
 _WIDER = 0.4
 _WIDER_FLAT = 0.5
 _WIDER_INCLINED = 0.65
+_WIDER_ROUNDED = 0.3
 _NARROWER = 1.5
-"""Error over the change with patches twice as wide, the same under flat faces and under inclined
-ones, or half as wide. Measured at 8 to 16 patches across against 40, under flat faces with sharp
-rims: 0.46 on the standard block, 0.5 on pads 2 mm thick, 0.6 of faces inclined by 2 to 4 degrees;
-less under other probes."""
+"""Error over the change with patches twice as wide, the same under flat faces, under inclined ones
+and where patches are graded up to a place on a rounded rim, or half as wide. Measured at 8 to 16
+patches across against 40, under flat faces with sharp rims: 0.46 on the standard block, 0.5 on pads
+2 mm thick, 0.6 of faces inclined by 2 to 4 degrees; 0.07 to 0.28 on round rounded rims; less under
+other probes."""
 
 _ORDER = 1.8
 _ALIKE = 1.3
@@ -66,21 +68,15 @@ _CUT = 0.26
 Measured against 40 patches across: 0.0004 to 0.00105 at 16, for spheres of 3 to 20 mm radius and a
 cone."""
 
-_CUT_FOUND, _FITTED = 0.5, 0.15
-"""The same where no closed form gives the contact that the grid is fitted to: on curved bodies, and
-where the contact's radius is more than that share of the body's thickness. Measured at 8 to 20
-across against 36 to 40, radius over thickness 0.16 to 1.2: up to 0.62, part of it told by other
-patches. On a half-space 0.27, and 0.46 if its grid is made from a radius 1.1 times too large."""
-
 _WHOLE = 0.75
 """Error of the force sideways where patches stick as a whole, over what their area is too large by:
 about half on a half-space, where it grows with the radius, and all on a thin layer."""
 
-_CUT_THIN = 2.5
+_CUT_THIN = 1.0
 """How many times that is added where the contact's radius is the body's thickness or more; below,
-with its cube. Measured at 8 to 16 across against 26 to 30, radius over thickness 0.6, 1 and 2 to
-2.5: `_CUT` would be 0.53, 0.9 and 0.8, of one that sticks 1.2 at most; 0.09 to 0.6 at 0.2 to
-0.4, by chance."""
+with its cube. Measured at 8 to 24 across against 36 to 40 under balls without friction, where other
+patches tell a part of it: `_CUT` would be 0.26 on thick rubber, 0.34, 0.42, 0.47 and 0.82 at radii
+of 0.15 to 0.3, 0.3 to 0.6, 0.6 to 1 and more of the thickness."""
 
 _UNLOADED, _UNFITTED = 0.9, 0.75
 """Patches across a contact over those of its grid, below which it counts as unloaded; and how many
@@ -111,10 +107,10 @@ _CUT_FREE = 0.1
 """Error of the force under an object's smooth borders, times patches over those of a square that a
 disc as wide as the contact fills; with the power 1.5 of the border's length over that disc's."""
 
-_CUT_RIM = 0.25
+_CUT_RIM = 0.2
 """The same under a flat face so inclined that it touches with its rim, times the patches across.
-Measured at 8 to 20 across against 30 to 37, 20 to 30 degrees: up to 0.25,
-part of it told by other patches."""
+Measured at 8 to 20 across against 30 to 35 under twelve faces inclined by 16 to 30 degrees: up to
+0.27, of which other patches tell all but 0.15 under rims along the grid, 0.2 under others."""
 
 _CUT_CORNER, _ASKEW = 0.45, 0.02
 """The same where it touches with a corner, and the least ratio of its two tilts there. Measured
@@ -133,6 +129,13 @@ _ROUNDED = {True: 0.15, False: 0.25}
 times the patches across, over the flat share of the face's half width; by whether the face is
 round. A square one's sides lie along patches. Measured without friction at 8 to 27 across against
 34 to 40, edges of 0.05 to 0.7 of the half width: up to 0.17 and 0.25, beside `_CUT`."""
+
+_CUT_ROUNDED, _OF_RIM = 0.8, 0.1
+"""Error of the force under such a face at a given depth, times the square of the patches across,
+where these are graded up to where contact ends; of a round one where so much of the contact's half
+width is on the rim, and in proportion below. Measured at 8 to 20 across against 32 to 37: up to
+0.9 under eight square ones, 0.74 under a round one of which a quarter of the half width is on the
+rim, and below 0.1 where less than a twentieth is, from 10 across."""
 
 _STIFFER = 1.5
 """How much faster a sphere's force grows than its indentation, relatively; a cone's 2."""
@@ -207,8 +210,7 @@ class Estimates:
             # Tractions converge with order 1/2 to 1 only.
             tractions = [change.traction]
             for setup, border in zip(self._job.setups, borders, strict=True):
-                touches = len(border.state.pressure_mpa) > 0
-                if touches and (setup.is_free_form or setup.has_inclined_face):
+                if border.touches and (setup.is_free_form or setup.has_inclined_face):
                     tractions.append(border.traction_error)
                     if setup.has_inclined_face or border.patches.all():
                         tractions.append(_MORE_TRACTION * change.traction)
@@ -279,6 +281,8 @@ class Estimates:
         elif any(one.face is not None for one in self._job.setups):
             inclined = any(one.has_inclined_face for one in self._job.setups)
             known = _WIDER_INCLINED if inclined else _WIDER_FLAT
+            if all(one.is_graded and one.is_rounded for one in borders if one.touches):
+                known = _WIDER_ROUNDED
         else:
             known = _WIDER
         smooth = known * (2.0**_ORDER - 1.0) / (ratio**_ORDER - 1.0)
@@ -345,10 +349,7 @@ class Estimates:
             height = self._job.setups[0].body.base_z_mm
             wide = max(one.contact_radius_mm for one in (state, *state.also)) / height
             fewest = min(map(self._across, self._job.setups, (state, *state.also)))
-            cut = _CUT * (1.0 + _CUT_THIN * min(1.0, wide) ** 3)
-            if wide > _FITTED or not self._job.setups[0].body.is_flat:
-                cut = max(cut, _CUT_FOUND)
-            error = cut / fewest**2
+            error = _CUT * (1.0 + _CUT_THIN * min(1.0, wide) ** 3) / fewest**2
         for setup in self._job.setups:
             if setup.has_inclined_face:
                 incline = math.acos(min(1.0, float(setup.first.tilt[2, 2])))
@@ -360,12 +361,22 @@ class Estimates:
                 error = max(error, rim)
         borders = self._borders(state, step)
         edge = max((border.force_error for border in _of_objects(borders)), default=0.0)
-        for face in (setup.face for setup in self._job.setups):
-            if face is not None and face.edge_mm > 0.0:
-                flat = 1.0 - face.edge_mm / min(face.half_mm)
+        rounded = 0.0
+        for one in borders:
+            face = one.setup.face
+            if face is None or not (one.is_rounded and one.touches):
+                continue
+            flat = 1.0 - face.edge_mm / min(face.half_mm)
+            if one.is_graded:
+                on_rim = 1.0 - flat * min(face.half_mm) / one.half_width_mm
+                cut = _CUT_ROUNDED * (min(1.0, on_rim / _OF_RIM) if face.is_round else 1.0)
+                rounded = max(rounded, cut / across**2)
+            else:
                 edge = max(edge, (_ROUNDED[face.is_round] * flat + _CUT / across) / across)
         deep, pushed = self._placed(state, step)
-        border = Share(indentation=deep * error / _STIFFER, force=pushed * error)
+        border = Share(
+            indentation=deep * max(error / _STIFFER, rounded), force=pushed * max(error, rounded)
+        )
         least = Share(indentation=deep * edge, force=pushed * edge)
         if deep > 0.0 and any(setup.face is not None for setup in self._job.setups):
             least = least.at_least(Share(force=pushed * _ASIDE / across))
@@ -616,6 +627,32 @@ class _Border:
         """The patches in contact, with their forces."""
         return _joined(Load(self.state.load.terms[:1]))
 
+    @property
+    def touches(self) -> bool:
+        """Whether there is any."""
+        return len(self.state.pressure_mpa) > 0
+
+    @property
+    def is_rounded(self) -> bool:
+        """Whether it lies on the rounded rim of a flat face."""
+        return self.setup.face is not None and self.setup.face.edge_mm > 0.0
+
+    @property
+    def is_graded(self) -> bool:
+        """Whether the patches of a flat surface were made to end with the contact."""
+        return self.setup.body.is_flat and bool(np.ptp(self.load.half_mm, axis=0).any())
+
+    @property
+    def half_width_mm(self) -> float:
+        """The least half width of the patches in contact under a flat face."""
+        load = self.load
+        away = np.abs(
+            np.einsum(
+                "kij,kj->ki", load.frames[:, :2], load.centre_mm - load.centre_mm.mean(axis=0)
+            )
+        )
+        return float((away + load.half_mm).max(axis=0).min())
+
     @cached_property
     def open_sides(self) -> tuple[Ints, Floats, Floats]:
         """Of the m sides of patches beyond which none touches: the patch (m,), the direction
@@ -704,7 +741,7 @@ class _Border:
 
 def _of_objects(borders: list[_Border]) -> list[_Border]:
     """Return those of objects of any shape that touch."""
-    return [one for one in borders if one.setup.is_free_form and len(one.state.pressure_mpa)]
+    return [one for one in borders if one.setup.is_free_form and one.touches]
 
 
 def _alike(one: ContactState, other: ContactState) -> bool:

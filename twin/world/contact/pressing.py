@@ -629,7 +629,7 @@ def _frictionless(
             (planes[number], *disc) if disc else find_contact(setup, own, start, planes[number], z)
         )
         boxes.append(box)
-        if disc is not None:
+        if disc is not None and setup.face is None:
             closed_form[number] = box
     control = Control.joined(controls)
     pose = np.concatenate(places)
