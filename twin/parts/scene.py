@@ -398,6 +398,12 @@ class Scene(Part):
         return self.camera, self.light
 
     @property
+    def inverse(self) -> Reconstruction:
+        """How the inverse problem is solved, of a scene whose forces are reconstructed."""
+        assert self.reconstruction is not None
+        return self.reconstruction
+
+    @property
     def optics(self) -> tuple[Camera, float, float]:
         """What `twin.theory.optics` takes of a scene with a camera: that, the refractive index, and
         the height of the base, mm."""

@@ -237,12 +237,7 @@ def _through_camera(sensor: Sensor, compliance: Floats) -> Floats:
     """Return (2n, 3k) px/N of a compliance in the nominal camera's picture."""
     from twin.sense.transfer import from_compliance
 
-    scene = sensor.nominal
-    markers = sensor.nominal_markers.points
-    assert scene.camera is not None
-    jacobian = project_with_jacobian(
-        markers, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
-    )[1]
+    jacobian = project_with_jacobian(sensor.nominal_markers.points, *sensor.nominal.optics)[1]
     return from_compliance(compliance, jacobian)
 
 
@@ -270,8 +265,7 @@ def _calibrate_by_presses(sensor: Sensor) -> Calibration:
     scene = sensor.nominal
     if scene.material.law != "linear":
         sensor = Sensor(_by_linear_theory(scene), sensor.progress)
-    assert scene.reconstruction is not None
-    sites, grid = scene.reconstruction.sites, scene.calibration.presses
+    sites, grid = scene.inverse.sites, scene.calibration.presses
     if grid is None and scene.calibration.method == "sato":
         grid = sites
     half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
@@ -366,12 +360,11 @@ def _measured_calibration(
 
     scene = sensor.nominal
     count = len(places)
-    assert scene.reconstruction is not None
     forces = presses.force_n.reshape(count, 3, 3).transpose(0, 2, 1)
     transfer = from_presses(forces, presses.shift_px.reshape(count, 3, -1))
     there = _nominal_transfer(sensor, places)
     errors = left_out(transfer, there, grid.chart())
-    sites = scene.reconstruction.sites.chart()
+    sites = scene.inverse.sites.chart()
     if grid.chart().tolist() != sites.tolist():
         here = _nominal_transfer(sensor, sensor.sites)
         transfer = fill_between(transfer, there, here, grid.axes(), sites)
@@ -428,8 +421,7 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
     from twin.sense.calibration import Calibration
 
     scene, sites, layout = sensor.nominal, sensor.sites, sensor.layout_px
-    assert scene.reconstruction is not None
-    grid = scene.reconstruction.sites
+    grid = scene.inverse.sites
     facts = {
         "digest": _sensor_digest(scene),
         "method": scene.calibration.method,
@@ -547,7 +539,6 @@ def _require_places(body: Body, places_mm: Points, on_surface: Bools) -> None:
 def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibration:
     """Return the calibration by presses at (q, 3) places of the surface, mm."""
     scene = sensor.nominal
-    assert scene.reconstruction is not None
     given = np.isfinite(places_mm[:, 2:])
     points = np.where(given, places_mm, scene.body.surface_from_above(places_mm[:, :2]))
     _require_places(scene.body, places_mm, np.isfinite(points[:, 2]))
@@ -565,7 +556,7 @@ def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibrat
         presses = replace(presses, place=which.ravel().astype(np.int64))
         return _fitted_calibration(sensor, places, presses)
     # Sato's way: three presses at every place of a grid, in any order.
-    grid = scene.calibration.presses or scene.reconstruction.sites
+    grid = scene.calibration.presses or scene.inverse.sites
     wanted = grid.chart()
     distance = np.linalg.norm(charts[:, None] - wanted[None], axis=2)
     nearest = distance.argmin(axis=1)

@@ -159,9 +159,7 @@ class View:
             raise RecipeError("this scene has no [camera] table: designs are seen by a camera")
         camera = scene.camera
         markers = MarkerSet.place(scene.body, scene.markers)
-        pixels, jacobian = project_with_jacobian(
-            markers.points, camera, scene.material.refractive_index, scene.body.base_z_mm
-        )
+        pixels, jacobian = project_with_jacobian(markers.points, *scene.optics)
         # Width in the picture: the square root of the determinant is the mean magnification.
         across = np.sqrt(np.abs(np.linalg.det(jacobian[:, :, :2])))
         width = np.array([scene.markers[str(name)].diameter_mm for name in markers.layer]) * across
@@ -277,9 +275,8 @@ def _of_press(scene: Scene) -> Iterator[str]:
 
 
 def _of_picture(scene: Scene) -> Iterator[str]:
-    assert scene.camera is not None
     view = View.of(scene)
-    camera = scene.camera
+    camera, _ = scene.imaging
     remedy = "check camera.focal_px (in px), pupil_mm (in mm), width_px and height_px"
     widest = _WIDEST * min(camera.width_px, camera.height_px)
     for name in scene.markers:

@@ -259,8 +259,7 @@ class Environment:
         from twin.sense.reconstruct import reconstruct
 
         sensor = self.sensor
-        options = self.sensor.nominal.reconstruction
-        assert options is not None
+        options = sensor.nominal.inverse.options()
         calibration, tracker = self._software()
         # What happens: displacement and picture.
         patches = sensor.rectangles(load)
@@ -275,7 +274,7 @@ class Environment:
                 "no marker was found in the picture: is the press far beyond what the sensor can "
                 "follow?"
             )
-        field = reconstruct(found, calibration, **options.options())
+        field = reconstruct(found, calibration, **options)
         if seconds is not None and calibration.relaxation is not None:
             if self._history is None:
                 self._history = Hereditary(calibration.relaxation)

@@ -220,9 +220,8 @@ class Exposures:
 
         sensor = self.sensor
         ccd = sensor.nominal.ccd.spelt_out()
-        camera = sensor.nominal.camera
+        camera, _ = sensor.nominal.imaging
         assert ccd.exposure_ms is not None
-        assert camera is not None
         speed = self.speed_px_s(time_s, (ccd.exposure_ms + ccd.readout_ms) / 2000)
         offset_s, weights = shutter(ccd, camera.height_px, speed)
         renderer = sensor.renderer_of(frame)

@@ -79,10 +79,9 @@ class FittedDesign:
         covered: Compliance | CoveredCompliance | None = None,
         progress: Any = None,
     ) -> None:
-        assert scene.camera is not None
         self.covered = covered
         self.scene, self.places, self.radius_mm = scene, places, np.asarray(radius_mm, float)
-        self.camera: Camera = scene.camera
+        self.camera: Camera = scene.optics[0]
         room = scene.tolerance
         sizes = {
             "youngs_modulus": room.youngs_modulus_pct / 100,
@@ -209,8 +208,7 @@ class FittedDesign:
 
     def seen(self, points: Points, camera: Camera) -> Pixels:
         """Return where a camera sees points of the nominal body, px."""
-        scene = self.scene
-        return project(points, camera, scene.material.refractive_index, scene.body.base_z_mm)
+        return project(points, camera, *self.scene.optics[1:])
 
     def transfer(self, scaled: Floats, markers: Points, compliance: Floats) -> Floats:
         """Return (2n, 3k) px/N: the compliance through the fitted camera."""
@@ -311,6 +309,4 @@ class FittedDesign:
         return offsets[keep], cells[:, keep] / cells.sum(axis=1, keepdims=True)
 
     def _seen_slope(self, points: Points, camera: Camera) -> Floats:
-        scene = self.scene
-        index = scene.material.refractive_index
-        return project_with_jacobian(points, camera, index, scene.body.base_z_mm)[1]
+        return project_with_jacobian(points, camera, *self.scene.optics[1:])[1]

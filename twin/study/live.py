@@ -187,17 +187,16 @@ class LivePress:
         """Return what the page must know once: sites, markers at rest, ranges of sliders."""
         scene = self.scene
         begin = self.start()
-        assert scene.reconstruction is not None
-        assert scene.camera is not None
-        grid = scene.reconstruction.sites
+        camera, _ = scene.imaging
+        grid = scene.inverse.sites
         push = begin.push_n
         half = np.array(grid.half_mm) + grid.pitch_mm / 2
         side, twist = (0.3, 5.0) if begin.by_motion else (_round(push), _round(push))
         sensor = self.environment.sensor
         return {
             "title": scene.title or "Tactile sensor",
-            "width": scene.camera.width_px,
-            "height": scene.camera.height_px,
+            "width": camera.width_px,
+            "height": camera.height_px,
             "columns": grid.columns,
             "rows": grid.rows,
             "pitch": grid.pitch_mm,

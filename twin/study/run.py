@@ -106,7 +106,8 @@ def run(
     RecipeError
         The scene lacks what ``want`` names.
     InputError
-        There is no such scene, or overrides are given with a scene that is loaded.
+        There is no such scene, ``want`` names what is no result, or overrides are given with a
+        scene that is loaded.
 
     Examples
     --------
@@ -402,9 +403,8 @@ def _relaxed(
     from twin.theory.relaxation import Hereditary
 
     scene = sensor.nominal
-    assert scene.reconstruction is not None
     assert calibration.relaxation is not None
-    rate = scene.reconstruction.frames_per_second
+    rate = scene.inverse.frames_per_second
     rests = [rest, *(sensor.rest_picture(n) for n in range(1, len(sensor.renderers)))]
     tracker = Tracker(rests, sensor.layout_px, method=scene.tracking.method)
     history = Hereditary(calibration.relaxation)
@@ -419,7 +419,7 @@ def _relaxed(
         picture = sensor.picture(sensor.quick_motion(one.load), 2 + number, frame)
         try:
             field = reconstruct(
-                tracker.track(picture, frame), calibration, **scene.reconstruction.options()
+                tracker.track(picture, frame), calibration, **scene.inverse.options()
             )
         except InputError:  # bridged, as in a recording
             tracker.forget()

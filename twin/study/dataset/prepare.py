@@ -47,7 +47,7 @@ def prepare(plan: Plan, places: Places, progress: Progress | None) -> Plan:
 
 
 def _put_down(scene: Scene, files: Mapping[str, Path], meta: Path) -> None:
-    """Write the scene and the its files, where they are missing or changed."""
+    """Write the scene and its files, where they are missing or changed."""
     contents = {name: path.read_bytes() for name, path in files.items()}
     for name, data in {**contents, "scene.toml": scene.to_toml().encode()}.items():
         if not (meta / name).is_file() or (meta / name).read_bytes() != data:

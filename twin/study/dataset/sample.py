@@ -113,8 +113,8 @@ class _MadeSensor:
             _ = self.renderer
             for group, picture in enumerate(sensor.rest_pictures):
                 row[f"picture_{group}" if group else "picture"] = png_bytes(picture)
-            assert scene.camera is not None
-            f, (cx, cy) = scene.camera.focal_px, scene.camera.centre_px
+            camera, _ = scene.imaging
+            f, (cx, cy) = camera.focal_px, camera.centre_px
             row["camera_matrix"] = np.array([f, 0, cx, 0, f, cy, 0, 0, 1.0])
         if "sites" in needs:
             body = sensor.nominal.body
@@ -144,8 +144,7 @@ class _MadeSensor:
         scene = self.plan.scene
         if scene.dataset.sites is not None:
             return scene.dataset.sites
-        assert scene.reconstruction is not None
-        return scene.reconstruction.sites
+        return scene.inverse.sites
 
     @cached_property
     def renderer(self) -> Renderer:

@@ -292,8 +292,7 @@ class Rig:
     def far_away(self) -> dict[str, Any]:
         """Return overrides of a camera that sees almost in parallel, at the same scale; its tilt
         moves the view as much."""
-        camera, body = self.scene.camera, self.scene.body
-        assert camera is not None
+        camera, body = self.scene.imaging[0], self.scene.body
         x, y, z = camera.pupil_mm
         away = FAR * (z - body.base_z_mm)
         return {
@@ -320,10 +319,7 @@ def _unstrained(moved_mm: Floats) -> Motion:
 
 
 def _image_scale(scene: Scene, points: Floats) -> Floats:
-    assert scene.camera is not None
-    return project_with_jacobian(
-        points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
-    )[1]
+    return project_with_jacobian(points, *scene.optics)[1]
 
 
 class Bench:

@@ -294,8 +294,7 @@ def _jump(distance_mm: Floats, size: Floats) -> float:
 
 def _row(rig: Rig, along: int, across_mm: float) -> tuple[Ints, Floats]:
     """Return the numbers of the sites of a row, and their places along it, mm."""
-    assert rig.scene.reconstruction is not None
-    chart = rig.scene.reconstruction.sites.chart()
+    chart = rig.scene.inverse.sites.chart()
     row = np.flatnonzero(np.abs(chart[:, 1 - along] - across_mm) < 1e-6)
     return row, chart[row, along]
 

@@ -55,21 +55,21 @@ _COSTS: dict[str, tuple[int, float | None]] = {
     "kamiyama/conclusion": (10, None),
     "sato/table-1": (13, None),
     "sato/fig-6": (1, None),
-    "sato/calibration": (38, None),
+    "sato/calibration": (38, 0.6),
     "sato/fig-7": (1, None),
-    "sato/fig-8": (105, None),
-    "sato/fig-9": (11, None),
+    "sato/fig-8": (105, 0.9),
+    "sato/fig-9": (11, 0.8),
     "sato/table-2": (1, None),
     "sato/2mm-prediction": (13, None),
     "beyond/half-space": (1, None),
     "beyond/limits": (17, None),
-    "beyond/same-hardware-kamiyama": (34, None),
+    "beyond/same-hardware-kamiyama": (34, 0.8),
     "beyond/same-hardware-sato": (18, None),
 }
 """Time of each entry in a run of all (s of CPU of one core, as stored with the documentation), and
 the most memory that it takes by itself with an empty cache (GB, None where it was not measured).
-By itself an entry also makes what all share: 7 to 42 s more were measured on the flat sensor, and
-the finger's 75 presses take 37 s."""
+By itself an entry also makes what all share: with an empty cache 7 to 42 s more on the flat sensor,
+and 106 s for the finger's Fig. 8."""
 
 _ALL = (360, 8.0)
 
@@ -90,7 +90,8 @@ def _listing() -> list[str | tuple[str, Table]]:
     return [
         *lines,
         f"{'all':29s} {_ALL[0]:4d} s  {_ALL[1]:.1f} GB  on one core",
-        "Give entries, papers (kamiyama, sato, beyond) or all; one by itself takes 10 to 50 s more",
+        "Give entries, papers (kamiyama, sato, beyond) or all. One by itself, with an empty cache, "
+        "takes 7 to 110 s more.",
     ]
 
 

@@ -148,10 +148,9 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
         found["resolution_gf"][good] = limit.force_sd_n / GF
     found["total_force_error"] = found["resolution_gf"] * GF / sweep.loads.force_n
     # What a design costs.
-    assert scene.camera is not None
-    pixels = designs.numbers("camera.width_px", scene.camera.width_px) * designs.numbers(
-        "camera.height_px", scene.camera.height_px
-    )
+    camera, _ = scene.imaging
+    pixels = designs.numbers("camera.width_px", camera.width_px)
+    pixels = pixels * designs.numbers("camera.height_px", camera.height_px)
     cost = sweep.cost
     found["markers"] = markers
     found["cost"] = cost.base + cost.marker * markers + cost.megapixel * pixels / 1e6
@@ -162,8 +161,7 @@ def _axis_scale(designs: Designs, depth_mm: Floats) -> Floats:
     """Return (m,) px/mm across the optical axis at depths: focal length over apparent distance
     (Snell, paraxial)."""
     scene = designs.scene
-    camera = scene.camera
-    assert camera is not None
+    camera, _ = scene.imaging
     base_z = designs.numbers("body.thickness_mm", scene.body.base_z_mm)
     index = designs.numbers("material.refractive_index", scene.material.refractive_index)
     layers = sum(layer.thickness_mm for layer in camera.layers)
@@ -194,8 +192,7 @@ def linear(
         The sites don't cover the presses, or too few markers are usable.
     """
     # The markers that the software can use, and their noise.
-    assert scene.reconstruction is not None
-    grid = scene.reconstruction.sites
+    grid = scene.inverse.sites
     sites = Rectangles.on_surface(
         scene.body, grid.chart(), grid.pitch_mm / 2, "reconstruction.sites"
     )
@@ -221,7 +218,7 @@ def linear(
     energy = float((whitened[:, :, single] ** 2).sum() / single.sum())
     spectrum = known.spectrum([b[:, single] for b in reduced], energy)
     mean_noise = float(noise[used].mean())
-    weight = _weight(scene.reconstruction, spectrum, mean_noise)
+    weight = _weight(scene.inverse, spectrum, mean_noise)
     # The forces of all loads, and what is read from them.
     force = known.forces(reduced, weight).reshape(len(sites), 3, sweep.sensors, len(pushes.loads))
     singular = known.singular
@@ -265,8 +262,7 @@ class _Profiles:
     sites."""
 
     def __init__(self, scene: Scene, sites: Rectangles, force: Floats) -> None:
-        assert scene.reconstruction is not None
-        grid = scene.reconstruction.sites
+        grid = scene.inverse.sites
         self._axes = grid.axes()
         push = np.einsum("kcl,kc->kl", force, sites.frames[:, 2])
         self._push = push.reshape(grid.columns, grid.rows, -1)
@@ -365,8 +361,7 @@ def _information(
     A column of the data's basis holds one marker and its mirror images. By symmetry the row of the
     first of them, times the root of their number, is the row of the whole column.
     """
-    assert scene.reconstruction is not None
-    method, grid = scene.reconstruction.method, scene.reconstruction.sites
+    method, grid = scene.inverse.method, scene.inverse.sites
     layers = tuple((layer.columns, layer.rows) for layer in scene.markers.values())
     signs = list(product(*((1, -1) if mirror else (0,) for mirror in _mirrors(scene))))
     folds = [_data_basis(layers, each) for each in signs]
@@ -474,13 +469,11 @@ def _weight(wanted: Scene.Reconstruction, spectrum: Factors.Spectrum, mean_noise
 def _shifts(scene: Scene, number: int, bodies: Bodies, pushes: Pushes) -> Floats:
     """Return (n, 2, loads) noise-free shifts of a made sensor's markers, px."""
     actual = Sensor(_seeded(scene, number)).actual
-    points, camera = actual.markers.points, actual.scene.camera
-    assert camera is not None
+    points, optics = actual.markers.points, actual.scene.optics
     moved = (
         bodies.moved(actual.scene, "truth", points, pushes.patches)
         @ pushes.loads.reshape(len(pushes.loads), -1).T
     )
-    optics = (camera, actual.scene.material.refractive_index, actual.scene.body.base_z_mm)
     everywhere = points[:, :, None] + moved.reshape(len(points), 3, -1)
     seen = project(everywhere.transpose(0, 2, 1).reshape(-1, 3), *optics)
     shifts = seen.reshape(len(points), -1, 2) - project(points, *optics)[:, None]
@@ -509,8 +502,7 @@ def _widths(
     scene: Scene, sweep: Sweep, sites: Rectangles, pushes: Pushes, force: Floats
 ) -> dict[str, float]:
     """Return widths and two-point distances of expected forces (k, 3, sensors, loads)."""
-    assert scene.reconstruction is not None
-    grid = scene.reconstruction.sites
+    grid = scene.inverse.sites
     apart = pushes.pair_mm
     profiles = [_Profiles(scene, sites, force[:, :, sensor]) for sensor in range(force.shape[2])]
     dips = np.mean([p.dips(pushes) for p in profiles], axis=0)
@@ -535,8 +527,7 @@ def _range(scene: Scene, view: View, sweep: Sweep, shift: Floats) -> float:
 
 
 def _require_cover(scene: Scene, pushes: Pushes) -> None:
-    assert scene.reconstruction is not None
-    grid = scene.reconstruction.sites
+    grid = scene.inverse.sites
     chart = scene.body.chart_of(pushes.patches.centre_mm[: 1 + pushes.presses])
     if (np.abs(chart) > np.array(grid.half_mm) + grid.pitch_mm / 2 + 1e-9).any():
         raise RecipeError(
@@ -713,7 +704,6 @@ def _seen(
     from twin.sense.reconstruct import reconstruct
     from twin.sense.track import analyse_rest, track_frame
 
-    assert scene.reconstruction is not None
     spent = _Spent()
     calibration = _calibration(sensor, bodies)
     count = sweep.loads.exposures
@@ -730,7 +720,7 @@ def _seen(
     stated = np.nanmean([zero.sd_px for zero in zeros], axis=0) if count > 1 else zeros[0].sd_px
     # Each load: one light, several exposures, each tracked and reconstructed.
     at_rest = sensor.project(points)
-    options = scene.reconstruction.options()
+    options = scene.inverse.options()
     totals = np.zeros((count, len(chosen), 3))
     forces = np.zeros((count, len(sensor.sites), 3, len(chosen)))
     errors = []

@@ -280,7 +280,7 @@ def _named(name: str) -> str:
     if name in NAMES:
         return NAMES[name]
     unit = unit_of(name) or ("gf" if name.endswith("_gf") else "")
-    words = METRICS.get(name, name).split(",")[0] if name in METRICS else name.replace("_", " ")
+    words = METRICS[name].split(",")[0] if name in METRICS else name.replace("_", " ")
     return f"{words} ({unit})" if unit else words
 
 
