@@ -120,6 +120,10 @@ SHARPER = 0.7
 STRETCHED, BLURRED = 1.4, 2.5
 """Largest growth of a marker's semi-axis, and of the blur, that a shape of its own reaches to."""
 
+LONGER, MOST = 1.15, 0.9
+"""The longer axis of a strained marker over its mean radius; and the share of the markers whose
+growth is kept off the ground between them."""
+
 KNOWN_OUTLINE, KNOWN_LEVEL, OPEN_LEVEL = 0.005, 0.02, 0.2
 """Least standard deviations of a marker's outline and brightness about its neighbours', as shares
 of radius and brightness; and of the brightness of one that the frame cut at rest."""
@@ -266,7 +270,7 @@ class DiscFit(SoftWindow):
         """Make the templates of one layer's ``spots``, and take the centres of their fits for the
         rest positions."""
         templates, start = make_templates(
-            picture, signal, spots.spot_px, spots.cut, spots.look.diameter_px
+            picture, signal, spots.spot_px, spots.cut, spots.look.diameter_px, marks
         )
         around = Neighbourhood.of(start, spots.around.spacing_px)
         known = vars(spots) | {"around": around, "start_px": start}
@@ -404,7 +408,14 @@ class DiscFit(SoftWindow):
         largest = float(np.nanmax(radius))
         clear = max(self.around.spacing_px - largest - blur, largest + blur)
         reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
-        seen = (picture, templates.own, templates.others, templates.sites, places)
+        seen = (
+            picture,
+            templates.own,
+            templates.others,
+            templates.sites,
+            templates.ground_slopes,
+            places,
+        )
         shape = fit_shapes(*seen, radius, reach, templates.noise, blur, bulge, free_blur=True)
         shape[:, 3:6] = known[:, 3:6]
         # These shapes are templates of a fit like all others.
@@ -419,7 +430,8 @@ class DiscFit(SoftWindow):
             templates = replace(templates, usual_misfit=usual)
         misfit = np.fmin(fitted[:, MISFIT], again[:, MISFIT])
         # Sizes stay relative to the shape at rest.
-        taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
+        good = np.fmax(templates.usual_misfit, templates.rest[:, MISFIT])
+        taken = again[:, MISFIT] < RESHAPES * good
         if templates.coherent:  # errors at rest show less by a sharper outline than they are
             taken &= shape[:, 6] > SHARPER * known[:, 6]
         area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, known))
@@ -463,6 +475,9 @@ class DiscFit(SoftWindow):
         odd = misfit > UNUSUAL * np.fmax(templates.rest[:, MISFIT], now)
         fitting = templates.rest[:, FITTING]
         fits = fitted[:, FITTING] / np.where(fitting > 0.0, fitting, np.nan)  # 0: refused at rest
+        # one that has grown beyond what is looked at seems dim: no ground around it is in sight
+        radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
+        odd |= (scale * radius + templates.shape[:, 6] > templates.reach_px) & (fits < FITS)
         low, middle, high = _quantiles(scale, 0.25, 0.5, 0.75)
         least = middle - SMALLER * max(NORMAL * (high - low), LEAST_SPREAD)
         doubted = odd | (fits < FITS * min(_quantiles(fits, 0.5)[0], 1.0)) | (scale < least)
@@ -631,7 +646,9 @@ class DiscFit(SoftWindow):
         if templates.coherent or self.bare:
             factor = _coherence(fitted, templates.third, state == SEEN, sd)
         if self.bare:
-            factor = max(self.bare.coherence(picture, templates, shift, sd), factor)
+            longest = fitted[:, SCALE] * np.where(fitted[:, RESHAPED] == OWN_SHAPE, LONGER, 1.0)
+            growth = _quantiles(longest, MOST)[0]
+            factor = max(self.bare.coherence(picture, templates, shift, sd, growth), factor)
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
         more = self._unseen_cut(fitted, sd, factor) + 2.0 * SD_FLOOR_PX**2

@@ -77,6 +77,13 @@ ASIDE_PX, GAINS = 0.1, (0.7, 1.6)
 QUANTISED = 1 / 12
 """Variance of rounding to whole counts: no noise is less."""
 
+GROWS = 0.17
+"""Growth of a marker up to which ground around it is looked at, as a share of its radius."""
+
+NOISE_VARIES, NOISIER = 0.25, 2.0
+"""Logarithms of by how much the noise's variance differs over the picture at least, and at most: by
+chance up to .1 over 60 markers."""
+
 OWN_SLOPE = 0.3
 """A marker's own slope, over its radius, counts above this: a neighbour's shadow feigns smaller
 ones, and then moves."""
@@ -104,6 +111,13 @@ LEAST_FREE = 0.5
 OUTLYING = 3.0
 """A score of more medians counts as one of so many: under moving shadows up to a quarter of a layer
 may have more."""
+
+RING = 1.4
+"""The ground's slope is measured out to so many radii of a marker."""
+
+SLOPING = 0.5
+"""Standard deviations of a pixel's noise by which the ground differs over that length, at least: by
+chance up to .15."""
 
 RELIT = 5.0
 """Standard deviations of a marker's slope of brightness by which a change that all markers share
@@ -228,6 +242,7 @@ def make_templates(
     spots_px: Pixels,
     cut: Bools,
     diameter_px: float,
+    marks_px: Pixels,
 ) -> tuple[Templates, Pixels]:
     """Make the templates of one layer's markers.
 
@@ -242,6 +257,8 @@ def make_templates(
         outline.
     diameter_px
         About how wide they are.
+    marks_px
+        (q, 2) centres of the spots of all layers, px.
 
     Returns
     -------
@@ -257,17 +274,17 @@ def make_templates(
     variances = _noise_variances(
         picture, own, layer.sites, spots_px, 0.5 * diameter_px, USUAL_BLUR_PX
     )
-    around, inside = variances.T
-    ground = float(np.nanmedian(around)) if np.isfinite(around).any() else 1.0
-    marker = float(np.nanmedian(inside)) if np.isfinite(inside).any() else ground
-    noise = np.maximum([ground, max(marker, ground)], QUANTISED)
+    noise = _smooth_noise(variances, spots_px, picture.shape)
+    ground_slopes = _ground_slopes(
+        picture, layer, spots_px, 0.5 * diameter_px, marks_px, noise[:, 0]
+    )
     # Blur and bulge are the layer's, by a sample of its markers; then every marker is fitted.
     shape = np.full((count, SHAPE + 3), np.nan)
     if wanted.any():
         every = max(1, int(np.isfinite(radius).sum()) // SAMPLE)
         few = np.where(np.cumsum(np.isfinite(radius)) % every == 0, radius, np.nan)
         reach = 0.65 * diameter_px + 2.0 * USUAL_BLUR_PX + MARGIN_PX
-        seen = (picture, own, others, layer.sites, spots_px)
+        seen = (picture, own, others, layer.sites, ground_slopes, spots_px)
         first = fit_shapes(*seen, few, reach, noise, USUAL_BLUR_PX, free_bulge=True, free_blur=True)
         good = np.isfinite(first[:, 0])
         blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
@@ -280,8 +297,9 @@ def make_templates(
         shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
     places = np.where(good[:, None], shape[:, SHAPE : SHAPE + 2], spots_px)
     slopes = _share_slopes(shape, places, good, picture.shape)
-    axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1) + shape[:, 6]
-    reach = float(np.nanmax(axes, initial=3.0)) + MARGIN_PX
+    axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1)
+    margin = np.fmax(MARGIN_PX, GROWS * axes)
+    reach = float(np.nanmax(axes + shape[:, 6] + margin, initial=3.0 + MARGIN_PX))
     unknown = np.zeros((count, COLUMNS))
     unknown[:, [MISFIT, FITTING]] = 1.0
     templates = Templates(
@@ -290,6 +308,7 @@ def make_templates(
         sites=layer.sites,
         shape=for_kernel(shape[:, :SHAPE]),
         ground=np.where(np.abs(shape[:, SHAPE + 2]) > 0.5 * shape[:, 7], shape[:, SHAPE + 2], 0.0),
+        ground_slopes=ground_slopes,
         noise=noise,
         gain=1.0,
         slopes=slopes,
@@ -471,15 +490,35 @@ def _noise_variances(
     return variances
 
 
+def _smooth_noise(variances: Floats, places: Pixels, size: Sequence[int]) -> Floats:
+    """Return (n, 2) variances of the noise of ground and marker from the measured ones (n, 2).
+
+    Brighter pixels have more noise: these are the medians times the smooth function of the place in
+    the picture that the ground's variances follow. A full marker's is never less than its ground's.
+    """
+    middle = [float(np.nanmedian(v)) if np.isfinite(v).any() else np.nan for v in variances.T]
+    ground, marker = np.nan_to_num(middle, nan=1.0)
+    usual = np.maximum([ground, max(marker, ground)], QUANTISED)
+    ratio = np.log(np.maximum(variances[:, 0], QUANTISED) / usual[0])
+    known = np.isfinite(ratio + places[:, 0])
+    factor = slope_terms(places, size) @ _smooth(ratio[known, None], places[known], size)[0]
+    factor = np.clip(np.nan_to_num(factor), -NOISIER, NOISIER)
+    if np.abs(factor).max(initial=0.0) < NOISE_VARIES:
+        factor = 0.0 * factor
+    return np.asarray(np.maximum(usual * np.exp(factor)[:, None], QUANTISED))
+
+
 def noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
-    """Return (2,) the noise's variances in another picture than that at rest: never less, and more
-    as the ground around the markers at ``places`` (n, 2), px, has more."""
+    """Return (n, 2) the noise's variances in another picture than that at rest: never less, and
+    more as the ground around the markers at ``places`` (n, 2), px, has more."""
     radius = float(np.sqrt(np.nanmedian(templates.shape[:, 0] * templates.shape[:, 2])))
     variances = _noise_variances(
         picture, templates.own, templates.sites, places, radius, 2.0 * USUAL_BLUR_PX
     )
-    now = float(np.nanmedian(variances[:, 0])) if np.isfinite(variances[:, 0]).any() else 0.0
-    return np.asarray(templates.noise * max(now / templates.noise[0], 1.0))
+    ratio = variances[:, 0] / templates.noise[:, 0]
+    return np.asarray(
+        templates.noise * max(float(np.nanmedian(ratio)) if np.isfinite(ratio).any() else 1.0, 1.0)
+    )
 
 
 def bounded_rms(score: Floats) -> float:
@@ -487,6 +526,63 @@ def bounded_rms(score: Floats) -> float:
     many."""
     score = np.abs(score)
     return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * np.median(score)) ** 2)))
+
+
+def _widest(templates: Templates) -> float:
+    """Return how far a usual marker reaches with its blur, px."""
+    axes = templates.usual_shape
+    return float(np.sqrt(axes[0] * axes[2]) + axes[6])
+
+
+def _covered(picture: Picture, marks: Pixels, radius: float) -> Bools:
+    """Return (h, w) which pixels are nearer than ``radius``, and a margin, to one of ``marks``."""
+    height, width = picture.shape[:2]
+    covered = np.zeros((height, width), np.bool_)
+    marks = marks[np.isfinite(marks).all(axis=1)]
+    near = np.rint(marks)[:, None].astype(int) + disc_offsets(radius + MARGIN_PX)
+    column, row = near[((near >= 0) & (near < [width, height])).all(axis=2)].T
+    covered[row, column] = True
+    return covered
+
+
+def _ground_slopes(
+    picture: Picture,
+    layer: LayerSignal,
+    centres: Pixels,
+    radius: float,
+    marks: Pixels,
+    variances: Floats,
+) -> Floats:
+    """Return (2, 6) `Templates.ground_slopes` by the pixels around markers at ``centres`` (n, 2).
+
+    Planes go through the pixels of rings, where no marker covers them; taken is the smooth function
+    of the place in the picture that they follow, if it is more than chance anywhere.
+    """
+    nothing = np.zeros((2, 6))
+    known = np.flatnonzero(np.isfinite(centres).all(axis=1))
+    if len(known) < LINEAR:
+        return nothing
+    size, clear = picture.shape[:2], radius + USUAL_BLUR_PX
+    outer = RING * radius + 2.0 * USUAL_BLUR_PX + MARGIN_PX
+    ring = disc_offsets(outer)
+    ring = ring[np.hypot(*ring.T) > clear + MARGIN_PX]
+    covered = _covered(picture, marks, clear)
+    column, row = (np.rint(centres[known]).astype(int)[:, None] + ring).transpose(2, 0, 1)
+    use = (column >= 0) & (column < size[1]) & (row >= 0) & (row < size[0])
+    use &= layer.sites[row % 2, column % 2] > 0.0
+    column, row = np.where(use, column, 0), np.where(use, row, 0)
+    use &= ~covered[row, column]
+    # Least squares; a quarter of a ring at least, and not of one side alone.
+    signal = picture[row, column] @ layer.own[:3].astype(float)
+    terms = np.column_stack([np.ones(len(ring)), ring])
+    products = (terms[:, :, None] * terms[:, None, :]).reshape(len(ring), -1)
+    matrix = (use @ products).reshape(-1, 3, 3)
+    least = 0.25 * (ring[:, 0] ** 2).sum() * layer.sites.mean()
+    firm = matrix[:, [1, 2], [1, 2]].min(axis=1) > least
+    planes = np.linalg.solve(matrix[firm], ((use * signal) @ terms)[firm, :, None])[:, 1:, 0]
+    shared = _smooth(planes, centres[known[firm]], size)
+    steep = np.hypot(*(slope_terms(centres[known], size) @ shared.T).T) * outer
+    return shared if (steep > SLOPING * np.sqrt(variances[known])).any() else nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -530,7 +626,7 @@ class BareGround:
         step = max(int(np.sqrt(height * width / PLACES)), 1)
         grid = np.mgrid[reach : width - reach : step, reach : height - reach : step]
         places = grid.reshape(2, -1).T.astype(float)
-        covered = _covered(picture, templates, marks)
+        covered = _covered(picture, marks, _widest(templates))
         moved, by_noise = _moved_by_ground(picture, templates, places, covered)
         known = np.isfinite(moved[:, 0])
         if known.sum() < QUADRATIC:
@@ -544,10 +640,15 @@ class BareGround:
         return cls(places_px=places, moved_px=moved, marks_px=marks, near=own[near])
 
     def coherence(
-        self, picture: Picture, templates: Templates, shift_px: Pixels, sd_px: Floats
+        self,
+        picture: Picture,
+        templates: Templates,
+        shift_px: Pixels,
+        sd_px: Floats,
+        growth: float,
     ) -> float:
         """Return how many times as large errors of shifts are as the noise of single pixels makes
-        them, ``sd_px`` (n,); at least 1."""
+        them, ``sd_px`` (n,); at least 1. ``growth`` is that of most markers since rest."""
         if np.isnan(sd_px).all():
             return 1.0
         # Where the places, and what covers them, have moved to.
@@ -555,7 +656,8 @@ class BareGround:
         number = np.isfinite(beside).sum(axis=1)
         moved_on = np.nansum(beside, axis=1) / np.where(number > 0, number, np.nan)
         count = len(self.places_px)
-        covered = _covered(picture, templates, self.marks_px + moved_on[count:])
+        widest = max(growth, 1.0) * _widest(templates)
+        covered = _covered(picture, self.marks_px + moved_on[count:], widest)
         squares = []
         for places in (self.places_px + moved_on[:count], self.places_px):
             moved, by_noise = _moved_by_ground(picture, templates, places, covered)
@@ -576,18 +678,6 @@ def _uneven(moved: Floats, places: Pixels, picture: Picture) -> Floats:
     moved, basis = moved[known], slope_terms(places[known], picture.shape)
     moved = moved - basis @ np.linalg.lstsq(basis, moved, rcond=None)[0]
     return np.array([bounded_rms(moved[:, axes]) ** 2 for axes in (slice(2), slice(2, 4))])
-
-
-def _covered(picture: Picture, templates: Templates, marks: Pixels) -> Bools:
-    """Return (h, w) which pixels one of the ``marks`` (m, 2) covers."""
-    height, width = picture.shape[:2]
-    axes = templates.usual_shape
-    clear = disc_offsets(float(np.sqrt(axes[0] * axes[2]) + axes[6]) + MARGIN_PX)
-    near = np.rint(marks[np.isfinite(marks[:, 0])])[:, None].astype(int) + clear
-    column, row = near[((near >= 0) & (near < [width, height])).all(axis=2)].T
-    covered = np.zeros((height, width), np.bool_)
-    covered[row, column] = True
-    return covered
 
 
 def _moved_by_ground(
@@ -613,6 +703,9 @@ def _moved_by_ground(
     signal = sum(pixels[:, :, k] * float(templates.own[k]) for k in range(3))
     # The slopes of the brightness along x, y and the ground, and the share of it in sight.
     x, y = (offset[:, axis] + (middle - places[rows])[:, axis, None] for axis in range(2))
+    if templates.ground_slopes.any():  # these are in the model
+        slope = slope_terms(places[rows], picture.shape) @ templates.ground_slopes.T
+        signal -= slope[:, :1] * x + slope[:, 1:] * y
     far = np.sqrt(x * x + y * y)
     depth = np.clip((radius - far) / blur, -1.0, 1.0)
     square = depth * depth
@@ -633,5 +726,7 @@ def _moved_by_ground(
     signal = signal - ((signal * weighed[:, 2]).sum(axis=1) / matrix[:, 2, 2])[:, None]
     for k, seen in enumerate((bare, np.ones_like(bare))):
         moved[rows, 2 * k : 2 * k + 2] = (by_pixel @ (signal * seen)[:, :, None])[:, :, 0]
-        by_noise[k] = templates.noise[0] * np.median((square * seen * seen).sum(axis=1))
+        by_noise[k] = np.median(templates.noise[:, 0]) * np.median(
+            (square * seen * seen).sum(axis=1)
+        )
     return moved, by_noise

@@ -68,6 +68,7 @@ def fit_shapes(
     own: Singles,
     others: Singles,
     sites: Singles,
+    ground_slopes: Floats,
     start_px: Pixels,
     radius_px: Floats,
     reach_px: float,
@@ -82,7 +83,7 @@ def fit_shapes(
 
     Parameters
     ----------
-    picture, own, others, sites, noise
+    picture, own, others, sites, ground_slopes, noise
         See `twin.sense.template.Templates`.
     start_px, radius_px
         (n, 2) centres and (n,) radii to start from, px; NaN rows are left out.
@@ -111,7 +112,20 @@ def fit_shapes(
     work = np.empty((PARAMETERS + 1, offset.shape[1]))
     sums = np.empty((PARAMETERS + 1, PARAMETERS + 1))
     _fit_shapes(
-        signal, use, middle, offset, radius, noise[1], bulge, blur_px, free, work, sums, p, fine
+        signal,
+        use,
+        middle,
+        offset,
+        radius,
+        slope_terms(start, picture.shape) @ ground_slopes.T,
+        noise[rows, 1],
+        bulge,
+        blur_px,
+        free,
+        work,
+        sums,
+        p,
+        fine,
     )
     centre, level = p[:, :2], p[:, 3:4]
     fine &= (np.abs(centre - start) <= radius[:, None]).all(axis=1)
@@ -124,13 +138,27 @@ def fit_shapes(
 
 @njit(cache=True, fastmath=True)
 def _fit_shapes(
-    signal, use, middle, offset, radius, noise, bulge, blur, free, work, sums, parameters, fine
+    signal,
+    use,
+    middle,
+    offset,
+    radius,
+    ground_slopes,
+    noise,
+    bulge,
+    blur,
+    free,
+    work,
+    sums,
+    parameters,
+    fine,
 ):
     """Fit all `PARAMETERS` of every marker, from ``parameters`` on, and set ``fine`` where that
     went well.
 
     Pixels' brightness ``signal`` and weights ``use`` (k, m) are at ``middle`` (k, 2) plus
-    ``offset`` (2, m). ``radius`` (k,) is the marker's at the start, ``noise`` a pixel's variance.
+    ``offset`` (2, m). ``radius`` (k,) is the marker's at the start, ``noise`` (k,) a pixel's
+    variance.
     ``free`` are 1 or 0 for bulge and blur, which else keep their values ``bulge`` and ``blur``.
     ``work`` (`PARAMETERS` + 1, m) is room for every pixel's weighted derivatives and residual,
     ``sums`` for their products: a matrix with the right side as its last row.
@@ -147,7 +175,7 @@ def _fit_shapes(
         for turn in range(TURNS):
             if free_bulge == 0.0:
                 p[6] = bulge * p[3]
-            limit = OUTLIER_SD**2 * (noise + (IMPERFECT * p[3]) ** 2)
+            limit = OUTLIER_SD**2 * (noise[k] + (IMPERFECT * p[3]) ** 2)
             limit += (0.5 * p[3] * min(moved, 2.0)) ** 2
             # the inverse square of the semi-axes' matrix: the outline is where its form is 1
             axis_x = r + p[7] + p[8]
@@ -165,6 +193,8 @@ def _fit_shapes(
             apart_x = middle[k, 0] - p[0]
             apart_y = middle[k, 1] - p[1]
             ground = p[2]
+            ground_x = ground_slopes[k, 0]
+            ground_y = ground_slopes[k, 1]
             level = p[3]
             slope_x = p[4]
             slope_y = p[5]
@@ -185,7 +215,8 @@ def _fit_shapes(
                 # what the model lacks, and the derivatives of its brightness
                 curved = min(squared, 1.0)
                 light = level + slope_x * x + slope_y * y + round_part * curved
-                residual = pixels[i] - ground - light * cover
+                behind = ground + (1.0 - cover) * (ground_x * x + ground_y * y)
+                residual = pixels[i] - behind - light * cover
                 trust = counts[i] / (1.0 + residual * residual / limit)
                 edge = trust * light * 15 / 16 * (1.0 - square) * (1.0 - square) * per_blur
                 nx = ax / steep
@@ -356,7 +387,7 @@ def fit_visible(
     hidden; NaN what is not measured.
     """
     known = templates.shape[rows]
-    noise = templates.noise * templates.usual_misfit
+    noise = templates.noise[rows] * templates.usual_misfit
     reach = float(np.max(expected.axes[:, [0, 2]].max(axis=1) + expected.blur)) + 2.0
     offset = disc_offsets(reach)
     middle = np.rint(start_px).astype(np.int64)
@@ -381,8 +412,11 @@ def fit_visible(
         slope = known[:, 3:5] + slope_terms(centre, picture.shape) @ templates.slopes.T
         axes = expected.axes + change @ STRETCHES
         marks = [middle - centre, axes, slope, known[:, 5:6], expected.blur[:, None]]
-        limit = np.maximum(ratio * level, 4.0 * np.sqrt(noise[1])) if turn < FIRST else 0.0 * level
+        limit = (
+            np.maximum(ratio * level, 4.0 * np.sqrt(noise[:, 1])) if turn < FIRST else 0.0 * level
+        )
         marks += [ground[:, None], level[:, None], limit[:, None]]
+        marks += [slope_terms(centre, picture.shape) @ templates.ground_slopes.T]
         model = np.concatenate(marks, axis=1)
         ratio *= NARROWER
         if turn in (FIRST, LATER):
@@ -417,7 +451,7 @@ def fit_visible(
     fitted[:, VARIANCE] = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])[:, None]
     fitted[:, PIXELS] = count
     fitted[:, MISFIT] = templates.usual_misfit * squares / np.maximum(count, 1)
-    fitted[:, SQUARES] = fitted[:, MISFIT] * count * templates.noise[0]
+    fitted[:, SQUARES] = fitted[:, MISFIT] * count * templates.noise[rows, 0]
     fitted[:, STEP] = np.hypot(step[:, 0], step[:, 1])
     fitted[:, EDGE] = 1.0 - (information * (inside & ~use)).sum(axis=1) / every
     fitted[:, FITTING] = (information * used).sum(axis=1) / every
@@ -452,9 +486,10 @@ def _equations(signal, use, hidden, offset, model, noise, pixels, work, matrix, 
     information, and the noise's variance.
 
     Pixels' brightness ``signal``, which of them count (``use``) and which are ``hidden`` (k, m) are
-    at ``offset`` (m, 2) from a whole pixel. ``model`` (k, 12) has that pixel from the centre;
-    semi-axes xx, xy, yy; slope x, y; bulge; half width of the blur; ground; level; and how much
-    light may be missing, 0 for no such limit. ``work`` (`FREE` + 2, m) is room.
+    at ``offset`` (m, 2) from a whole pixel. ``model`` (k, 14) has that pixel from the centre;
+    semi-axes xx, xy, yy; slope x, y; bulge; half width of the blur; ground; level; how much
+    light may be missing, 0 for no such limit; and the ground's slope x, y. ``work`` (`FREE` + 2, m)
+    is room.
     """
     for k in range(len(signal)):
         m = model[k]
@@ -466,7 +501,7 @@ def _equations(signal, use, hidden, offset, model, noise, pixels, work, matrix, 
         per_blur, ground, level, limit = 1.0 / m[8], m[9], m[10], m[11]
         lenient = 1.0 / (limit * limit) if limit > 0.0 else 0.0
         strict = 1.0 - (limit > 0.0)
-        steeper, imperfect = noise[1] - noise[0], (IMPERFECT * level) ** 2
+        steeper, imperfect = noise[k, 1] - noise[k, 0], (IMPERFECT * level) ** 2
         for i in range(len(offset)):
             x = offset[i, 0] + middle_x
             y = offset[i, 1] + middle_y
@@ -478,8 +513,9 @@ def _equations(signal, use, hidden, offset, model, noise, pixels, work, matrix, 
             cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
             light = 1.0 + slope_x * x + slope_y * y + bulge * min(squared, 1.0)
             tilt = level * light * 15 / 16 * (1.0 - v2) * (1.0 - v2) * per_blur
-            residual = signal[k, i] - ground - level * cover * light
-            expected = noise[0] + steeper * min(max(cover * light, 0.0), 1.0)
+            behind = ground + (1.0 - cover) * (m[12] * x + m[13] * y)
+            residual = signal[k, i] - behind - level * cover * light
+            expected = noise[k, 0] + steeper * min(max(cover * light, 0.0), 1.0)
             variance = expected + imperfect * 4.0 * min(max(cover * (1.0 - cover), 0.0), 0.25)
             # missing light counts less than too much of it; later it is left out
             square = residual * residual

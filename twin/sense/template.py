@@ -221,16 +221,32 @@ SETTLED_LEAD_PX = 0.3
 
 @njit(cache=True, fastmath=True)
 def _sums(
-    signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, narrow, noise, more, total
+    signal,
+    use,
+    place,
+    cx,
+    cy,
+    form,
+    slope,
+    bulge,
+    blur,
+    level,
+    ground,
+    ground_slope,
+    narrow,
+    noise,
+    more,
+    total,
 ):
     """Add up over the pixels at ``place`` (2, m) what one step needs; float32, no branches: for the
     vector unit.
 
-    (cx, cy) is the centre in the same frame, ``form`` the inverse squared axes, ``slope`` the
-    brightness' slope.
+    (cx, cy) is the centre in the same frame, ``form`` the inverse squared axes; ``slope`` and
+    ``ground_slope`` are those of the brightness of marker and ground.
     """
     xx, xy, yy = form
     slope_x, slope_y = slope
+    ground_x, ground_y = ground_slope
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
     three, four = np.float32(3.0), np.float32(4.0)
     edge0, edge1, edge2 = np.float32(15 / 16), np.float32(10 / 16), np.float32(3 / 16)
@@ -254,7 +270,7 @@ def _sums(
         nx, ny = ax * flat, ay * flat
         jx, jy = tilt * nx, tilt * ny
         model = cover * light
-        value = signal[p]
+        value = signal[p] - (one - cover) * (ground_x * dx + ground_y * dy)
         residual = value - ground - level * model
         trust = one / (one + narrow * residual * residual)
         w = use[p] * trust * trust
@@ -341,6 +357,7 @@ def _fit_centres(
     lead,
     shape,
     ground,
+    ground_slopes,
     noise,
     gain,
     usual_misfit,
@@ -375,6 +392,7 @@ def _fit_centres(
         xx, xy, yy, blur, level = mark[0], mark[1], mark[2], mark[6], mark[7]
         here = ground[k]
         mean_radius = math.sqrt(max(xx * yy - xy * xy, 0.25))
+        ground_noise, more = noise[k, 0], noise[k, 1] - noise[k, 0]
         scale, step, column, row = 1.0, 1e9, 0, 0
         share, last_x, last_y = 1.0, 0.0, 0.0
         for turn in range(turns):
@@ -390,10 +408,16 @@ def _fit_centres(
             slope_x += slopes[0, 3] * u * u + slopes[0, 4] * u * v + slopes[0, 5] * v * v
             slope_y = mark[4] + slopes[1, 0] + slopes[1, 1] * u + slopes[1, 2] * v
             slope_y += slopes[1, 3] * u * u + slopes[1, 4] * u * v + slopes[1, 5] * v * v
+            ground_x = ground_slopes[0, 0] + ground_slopes[0, 1] * u + ground_slopes[0, 2] * v
+            ground_x += ground_slopes[0, 3] * u * u + ground_slopes[0, 4] * u * v
+            ground_x += ground_slopes[0, 5] * v * v
+            ground_y = ground_slopes[1, 0] + ground_slopes[1, 1] * u + ground_slopes[1, 2] * v
+            ground_y += ground_slopes[1, 3] * u * u + ground_slopes[1, 4] * u * v
+            ground_y += ground_slopes[1, 5] * v * v
             fxx, fxy, fyy = _inverse_form(xx, xy, yy, scale)
             left = SHARE * total[14] / total[0] if turn > 0 else 0.0
             narrow = 1.0 / _doubtful(
-                max(noise[1], left), level, math.sqrt(step) if turn > 0 else 1.0
+                max(noise[k, 1], left), level, math.sqrt(step) if turn > 0 else 1.0
             )
             _sums(
                 signal,
@@ -407,9 +431,10 @@ def _fit_centres(
                 np.float32(blur),
                 np.float32(level),
                 np.float32(here),
+                (np.float32(ground_x), np.float32(ground_y)),
                 np.float32(narrow),
-                np.float32(noise[0]),
-                np.float32(noise[1] - noise[0]),
+                np.float32(ground_noise),
+                np.float32(more),
                 total,
             )
             n, sm, smm, si, sim = total[0], total[1], total[2], total[3], total[4]
@@ -444,7 +469,7 @@ def _fit_centres(
                 scale = min(max(scale * (1.0 + min(max(growth, -0.1), 0.1)), 0.7), 1.3)
             settled = abs(growth) < SETTLED_GROWTH and brighter < SETTLED_LEVEL * level
             # the first step trusts all pixels, which moves irregular markers: not where others end
-            expected = noise[0] * total[0] + (noise[1] - noise[0]) * total[1]
+            expected = ground_noise * total[0] + more * total[1]
             settled = settled and (turn > 0 or total[14] < UNUSUAL * expected)
             if settled and step < SETTLED_PX * SETTLED_PX:
                 break
@@ -453,8 +478,8 @@ def _fit_centres(
         # all that a residual moves is less by the gain
         jxx, jxy, jyy, n = total[5], total[6], total[7], total[0]
         determinant = gain * max(jxx * jyy - jxy * jxy, 1e-9)
-        more = noise[1] - noise[0]
-        across, along = noise[0] * jxx + more * total[12], noise[0] * jyy + more * total[13]
+        across = ground_noise * jxx + more * total[12]
+        along = ground_noise * jyy + more * total[13]
         # the middle matrix of the sandwich, taken as diagonal: exact on whole discs
         fit[CENTRE_X], fit[CENTRE_Y], fit[LEVEL], fit[GROUND] = cx, cy, level, here
         fit[SCALE] = scale
@@ -471,7 +496,7 @@ def _fit_centres(
             whole = _edge_of_sites(sites, column, row, offset, at, form, light, blur, level)
         fit[EDGE] = total[15] / max(whole, 1e-9)
         fit[SQUARES], fit[PIXELS], fit[STEP] = total[14], n, math.sqrt(step)
-        fit[MISFIT] = total[14] / max(noise[0] * n + more * total[1], 1e-9)
+        fit[MISFIT] = total[14] / max(ground_noise * n + more * total[1], 1e-9)
         fit[FITTING] = total[10] / max(total[15], 1e-9)
         fit[SHORTFALL], fit[RESHAPED], fit[DIFFERENCE] = 0.0, 0.0, 0.0
         sharp = 0.5 * gain * max(total[15], 1e-9)
@@ -495,10 +520,11 @@ def _fit_centres(
             form = _inverse_form(xx, xy, yy, scale)
             light = (slope_x, slope_y, mark[5])
             centre = (cx - column, cy - row)
-            _edge(signal, use, place, centre, form, light, blur, level, here, narrow, fit)
+            around = (here, ground_x, ground_y)
+            _edge(signal, use, place, centre, form, light, blur, level, around, narrow, fit)
             for side in range(ONE_SIDED, RESHAPED):  # a slice divided takes 2 s to compile
                 fit[side] /= gain
-            if fit[SHORTFALL] * level <= OUTLIER_SD * math.sqrt(noise[1]):
+            if fit[SHORTFALL] * level <= OUTLIER_SD * math.sqrt(noise[k, 1]):
                 fit[SHORTFALL] = 0.0
 
 
@@ -522,7 +548,7 @@ def _edge_of_sites(sites, column, row, offset, centre, form, light, blur, level)
 
 
 @njit(cache=True)
-def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, out):
+def _edge(signal, use, place, centre, form, light, blur, level, around, narrow, out):
     """Fill the columns of ``out`` that describe how the edge differs from the model's.
 
     What hides a part of one side pulls the fit off it: the fit without that side's edge moves back
@@ -531,6 +557,7 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
     """
     xx, xy, yy = form
     slope_x, slope_y, bulge = light
+    ground, ground_x, ground_y = around
     missed = 0.0
     sums = np.zeros((SECTORS, 9))
     for p in range(len(signal)):
@@ -546,7 +573,8 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
         cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
         bright = level * (1.0 + slope_x * dx + slope_y * dy + bulge * min(squared, 1.0))
         tilt = bright * (1.0 - v2) ** 2 * 15 / 16 / blur
-        residual = signal[p] - ground - bright * cover
+        behind = (1.0 - cover) * (ground_x * dx + ground_y * dy)
+        residual = signal[p] - ground - behind - bright * cover
         missed = max(missed, (-residual if cover > ON_MARKER else residual) / level)
         nx, ny = ax * flat, ay * flat
         # weighted sums of the normal equations for x, y and the size, sector by sector
@@ -605,8 +633,10 @@ class Templates:
         (n, `SHAPE`) every marker's template; NaN for markers not found at rest.
     ground
         (n,) ground around every marker at rest, counts.
+    ground_slopes
+        (2, 6) slope of its brightness along x and y, counts per px, by the terms of ``slopes``.
     noise
-        (2,) variance of the ground's noise and of a full marker's, counts squared.
+        (n, 2) variance of the ground's noise and of a full marker's, counts squared.
     gain
         By how much pictures change with the place more than their model does: a step of the
         model's slopes alone goes so many times too far.
@@ -632,6 +662,7 @@ class Templates:
     sites: Singles
     shape: Floats
     ground: Floats
+    ground_slopes: Floats
     noise: Floats
     gain: float
     slopes: Floats
@@ -701,6 +732,7 @@ class Templates:
             NOBODY if lead is None else lead,
             self.shape,
             self.ground,
+            self.ground_slopes,
             self.noise,
             self.gain,
             self.usual_misfit,
