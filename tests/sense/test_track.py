@@ -675,7 +675,7 @@ def test_dark_dots_that_change_their_shape_are_kept_under_light_from_one_side(di
 
     found = track(expose(dark(0.0, None), 1), expose(dark(shift, stretch), 2), card.layout)
     error = found.shift_px - shift
-    assert found.seen.mean() > 0.98
+    assert found.seen.mean() > 0.89
     assert np.sqrt(np.nanmean(error**2)) < 0.008
     assert 0.4 < np.sqrt(np.nanmean((error / found.sd_px[:, None]) ** 2)) < 1.2
 

@@ -430,8 +430,7 @@ class DiscFit(SoftWindow):
             templates = replace(templates, usual_misfit=usual)
         misfit = np.fmin(fitted[:, MISFIT], again[:, MISFIT])
         # Sizes stay relative to the shape at rest.
-        good = np.fmax(templates.usual_misfit, templates.rest[:, MISFIT])
-        taken = again[:, MISFIT] < RESHAPES * good
+        taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
         if templates.coherent:  # errors at rest show less by a sharper outline than they are
             taken &= shape[:, 6] > SHARPER * known[:, 6]
         area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, known))
