@@ -100,6 +100,9 @@ class Estimate(Table):
     ----------
     marker_rest_px, marker_shift_px
         (n, 2) tracked rest places and shifts, px, NaN where not found.
+    marker_sd_px, marker_state
+        (n,) stated standard deviations of the shifts along each axis, px, NaN where there is none;
+        (n,) what became of the markers, such as ``seen`` or ``partly hidden``.
     site_mm, force_n
         (k, 3) sites and forces, mm and N; empty if no forces were wanted.
     total_force_n, total_torque_nmm
@@ -111,6 +114,8 @@ class Estimate(Table):
 
     marker_rest_px: Pixels
     marker_shift_px: Pixels
+    marker_sd_px: Floats
+    marker_state: np.ndarray
     site_mm: Points
     force_n: Floats
     total_force_n: Floats

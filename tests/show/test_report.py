@@ -79,6 +79,7 @@ def full() -> RunResult:
     force = blurred / blurred.sum() * total * 1.02 + rng.normal(0, 0.01, sites.shape)
     estimate = Estimate(
         marker_rest_px=rest_px, marker_shift_px=shift, site_mm=sites, force_n=force,
+        marker_sd_px=np.full(len(shift), 0.015), marker_state=np.where(np.isnan(shift[:, 0]), "missing", "seen"),
         total_force_n=total * 1.013, total_torque_nmm=np.array([-6.2, -8.1, 1.5]),
     )  # fmt: skip
     return RunResult(

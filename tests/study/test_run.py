@@ -51,6 +51,15 @@ def test_a_picture_without_markers_leaves_truth_and_says_why(tmp_path: Path) -> 
     assert '"force": null' in (tmp_path / "score.json").read_text()
 
 
+def test_the_estimate_states_every_marker_s_deviation_and_what_became_of_it() -> None:
+    estimate = twin.run(twin.load_scene("kamiyama_pillar", SMALL), want={"tracking"}).estimate
+    seen = np.isfinite(estimate.marker_shift_px[:, 0])
+    assert len(seen) == len(estimate.marker_sd_px) == len(estimate.marker_state)
+    np.testing.assert_array_equal(np.isfinite(estimate.marker_sd_px), seen)
+    assert set(estimate.marker_state[seen]) <= {"seen", "strained", "partly hidden"}
+    assert not set(estimate.marker_state[~seen]) & {"seen"}
+
+
 @pytest.fixture(scope="module")
 def truth() -> Truth:
     return twin.run(twin.load_scene("kamiyama_pillar", SMALL), want={"displacement"}).truth
@@ -171,6 +180,8 @@ def summary_of(sites: list[float]) -> str:
     estimate = Estimate(
         marker_rest_px=np.zeros((0, 2)),
         marker_shift_px=np.zeros((0, 2)),
+        marker_sd_px=np.zeros(0),
+        marker_state=np.zeros(0, str),
         site_mm=np.zeros((len(sites), 3)),
         force_n=force,
         total_force_n=np.array([0.0, 0.0, -0.045]),
@@ -204,5 +215,5 @@ def test_few_markers_are_warned_of(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with pytest.raises(SomeFailed) as failed:
         run_to_folder(twin.load_scene("kamiyama_pillar", SMALL), tmp_path, {"tracking", "score"})
     text = str(failed.value)
-    assert re.search(r"warning     only 1 of the \d+ markers in full sight", text)
+    assert re.search(r"warning     only 1 of the \d+ markers in full sight .* \(of all, \d+ [a-z]+", text)
     assert "tracking    no SD" in text

@@ -322,7 +322,7 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
         warned += _unseen(scene, shift_px, noise_px)
     if "picture" in needed and scene.light is not None and ends_s is None:
         warned += scene.light.turns()
-    if warned := [*warned, *_tracking_doubt(tracking)]:
+    if warned := [*warned, *_tracking_doubt(tracking, found)]:
         facts["warnings"] = warned
     if failures:
         facts["failed"] = failures
@@ -475,6 +475,8 @@ def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
     return Estimate(
         marker_rest_px=found.rest_px,
         marker_shift_px=found.shift_px,
+        marker_sd_px=found.sd_px,
+        marker_state=found.states,
         site_mm=getattr(forces, "site_mm", np.zeros((0, 3))),
         force_n=getattr(forces, "force_n", np.zeros((0, 3))),
         total_force_n=getattr(forces, "total_force_n", np.zeros(0)),
@@ -482,15 +484,18 @@ def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
     )
 
 
-def _tracking_doubt(tracking: Mapping[str, Any] | None) -> list[str]:
-    """Return a warning where few of the unoccluded markers were found."""
-    if not tracking or not tracking["markers"] or tracking["matched"] >= FEW:
+def _tracking_doubt(tracking: Mapping[str, Any] | None, found: Found | None) -> list[str]:
+    """Return a warning where few of the unoccluded markers were found, with what became of the
+    others."""
+    if found is None or not tracking or not tracking["markers"] or tracking["matched"] >= FEW:
         return []
-    found = round(tracking["matched"] * tracking["markers"])
+    seen = round(tracking["matched"] * tracking["markers"])
+    others = zip(*np.unique(found.states[~found.seen], return_counts=True), strict=True)
+    lost = ", ".join(f"{count} {state}" for state, count in others)
     return [
-        f"only {found} of the {tracking['markers']} markers in full sight were found in the "
-        "pressed picture: the forces rest on these alone. Press less, or look at exposure and "
-        "contrast in rest.png and pressed.png"
+        f"only {seen} of the {tracking['markers']} markers in full sight were found in the "
+        f"pressed picture (of all, {lost}): the forces rest on these alone. Press less, or look at "
+        "exposure and contrast in rest.png and pressed.png"
     ]
 
 
