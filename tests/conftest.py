@@ -1,5 +1,6 @@
 """What holds for every test file."""
 
+import gc
 from collections.abc import Iterator
 
 import pytest
@@ -12,6 +13,7 @@ def _nothing_kept_for_other_files(request: pytest.FixtureRequest) -> Iterator[No
     for each in vars(request.module).values():
         if hasattr(each, "cache_clear") and each.__module__ == request.module.__name__:
             each.cache_clear()
+    gc.collect()  # sensors and their strained states refer to each other
 
 
 @pytest.fixture
