@@ -190,7 +190,7 @@ class BodyStrain(FiniteStrain):
         if any(one is not made for one, made in zip(sharp, approaches, strict=True)):
             self._shares = _ROUNDED
         self._first = _COARSE if coarse else _FINE
-        super().__init__(axes, state, watched, self._solved, self._shares.change, _TOLERANCE)
+        super().__init__(axes, state, watched, self._shares.change, _TOLERANCE)
 
     @cached_property
     def error(self) -> Share:

@@ -34,7 +34,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -130,8 +130,6 @@ class FiniteStrain:
         The press by linear theory.
     watched
         (n, 3) points inside the body for which the error counts, mm.
-    solve
-        Returns the solutions on the mesh that counts, or on a coarser one that estimates its error.
     over_change, least_error
         The error over the change to the coarser mesh, and what is added to it.
 
@@ -171,17 +169,15 @@ class FiniteStrain:
         axes: tuple[Floats, ...],
         state: ContactState,
         watched: Points,
-        solve: Callable[[bool], FiniteStrain.Solutions],
         over_change: float,
         least_error: float,
     ) -> None:
         self.axes = axes
         self._state = state
         self._watched = watched
-        self._solve = solve
         self._over_change = over_change
         self._least_error = least_error
-        self._pair = solve(False)
+        self._pair = self._solved(False)
         self.moved = self._pair.moved
         self.wider = self._pair.wider
 
@@ -213,7 +209,12 @@ class FiniteStrain:
 
     @cached_property
     def _coarser(self) -> FiniteStrain.Solutions:
-        return self._solve(True)
+        return self._solved(True)
+
+    def _solved(self, coarser: bool) -> FiniteStrain.Solutions:
+        """Return the solutions on the mesh that counts, or on a coarser one that estimates its
+        error."""
+        raise NotImplementedError
 
     @cached_property
     def error(self) -> Share:
@@ -284,12 +285,9 @@ class SlabStrain(FiniteStrain):
             watched = np.tile([*self._axis, min(size, self._thick_mm / 2.0)], (13, 1))
             watched[:, 0] += size * np.linspace(0.0, 3.0, 13)
 
-        def solve(coarser: bool) -> FiniteStrain.Solutions:
-            # The coarser slab ends at the block's nearest side.
-            wide = _to_side_mm(body, place) if coarser else math.sqrt(across * along / math.pi)
-            return self._solved(state, _COARSER if coarser or coarse else 1.0, wide)
-
-        super().__init__((approach.axes,), state, watched, solve, over_change, _LEAST_ERROR)
+        # The coarser slab ends at the block's nearest side.
+        self._radii_mm = (math.sqrt(across * along / math.pi), _to_side_mm(body, place))
+        super().__init__((approach.axes,), state, watched, over_change, _LEAST_ERROR)
 
     @staticmethod
     def solves(press: Press, body: Body, material: Material, state: ContactState) -> bool:
@@ -310,10 +308,11 @@ class SlabStrain(FiniteStrain):
     def _least_edge_mm(self, probe: Cylinder) -> float:
         return min(_LEAST_EDGE * probe.diameter_mm, _LEAST_OF_THICKNESS * self._thick_mm)
 
-    def _solved(
-        self, state: ContactState, share: float, radius_mm: float
-    ) -> FiniteStrain.Solutions:
-        """Return both solutions on a slab of a radius, in so large a share of the elements."""
+    def _solved(self, coarser: bool) -> FiniteStrain.Solutions:
+        """Return both solutions on a slab."""
+        state = self._state
+        share = _COARSER if coarser or self._coarse else 1.0
+        radius_mm = self._radii_mm[coarser]
         size = state.contact_radius_mm
         approach = self._approach
         if self._rim is None:
@@ -345,7 +344,7 @@ class SlabStrain(FiniteStrain):
         finite_mm = slab.displacement(finite.unknowns)
         wider = touch.end_mm(finite.pressure, finite_mm) / touch.end_mm(linear.pressure)
         return FiniteStrain.Solutions(
-            read=lambda points, field: grid.read_about(self._axis, points, field),
+            read=partial(grid.read_about, self._axis),
             linear_mm=linear_mm,
             change=finite_mm - linear_mm,
             moved=moved,
