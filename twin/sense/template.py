@@ -404,16 +404,12 @@ def _fit_centres(
                 column, row = middle_x, middle_y
                 gather(image, colour, others, sites, column, row, offset, runs, room[0], room[1])
             u, v = cx / columns - 0.5, cy / rows - 0.5
-            slope_x = mark[3] + slopes[0, 0] + slopes[0, 1] * u + slopes[0, 2] * v
-            slope_x += slopes[0, 3] * u * u + slopes[0, 4] * u * v + slopes[0, 5] * v * v
-            slope_y = mark[4] + slopes[1, 0] + slopes[1, 1] * u + slopes[1, 2] * v
-            slope_y += slopes[1, 3] * u * u + slopes[1, 4] * u * v + slopes[1, 5] * v * v
-            ground_x = ground_slopes[0, 0] + ground_slopes[0, 1] * u + ground_slopes[0, 2] * v
-            ground_x += ground_slopes[0, 3] * u * u + ground_slopes[0, 4] * u * v
-            ground_x += ground_slopes[0, 5] * v * v
-            ground_y = ground_slopes[1, 0] + ground_slopes[1, 1] * u + ground_slopes[1, 2] * v
-            ground_y += ground_slopes[1, 3] * u * u + ground_slopes[1, 4] * u * v
-            ground_y += ground_slopes[1, 5] * v * v
+            slope_x, slope_y, ground_x, ground_y = mark[3], mark[4], 0.0, 0.0
+            for term, value in enumerate((1.0, u, v, u * u, u * v, v * v)):
+                slope_x += slopes[0, term] * value
+                slope_y += slopes[1, term] * value
+                ground_x += ground_slopes[0, term] * value
+                ground_y += ground_slopes[1, term] * value
             fxx, fxy, fyy = _inverse_form(xx, xy, yy, scale)
             left = SHARE * total[14] / total[0] if turn > 0 else 0.0
             narrow = 1.0 / _doubtful(
