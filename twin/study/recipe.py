@@ -88,7 +88,10 @@ def read_recipe(path: Path) -> Table:
     picture = table.get("picture")
     if isinstance(picture, dict) and picture.keys() == {"renderer"} and "renderer" not in table:
         table = {k: v for k, v in table.items() if k != "picture"} | picture
-    return _by_key(table)
+    try:
+        return _by_key(table)
+    except RecursionError:  # tables of a dotted header are read without recursion
+        raise RecipeError("its tables lie hundreds deep, a recipe's a few", str(path)) from None
 
 
 def _by_key(table: Table) -> Table:
