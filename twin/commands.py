@@ -648,7 +648,8 @@ def calibrate(
 
     With --layout-from no calibration is made: the markers' grids are found in a rest picture and
     written as the [markers] tables of a recipe, with a picture that shows the dots and their
-    numbers. Millimetres come from --pitch-mm (and --depth-mm), or from --scene.
+    numbers. Millimetres come from --pitch-mm (and --depth-mm), or from --scene: then it prints
+    which camera gives the drawn pitch, and writes tables only to an --out.
 
     Examples:
     twin calibrate --scene sato_press --out sato.npz
@@ -662,8 +663,9 @@ def calibrate(
             )
         from twin.study.found_layout import layout_to_files
 
-        tables = out or Path("markers.toml")
-        drawn = overlay or tables.with_suffix(".png")
+        # A scene has tables already, and its camera's pitch is what is questioned.
+        tables = out or (Path("markers.toml") if scene is None else None)
+        drawn = overlay or (tables and tables.with_suffix(".png"))
         with _scene_named(scene or str(layout_from)):
             text = layout_to_files(
                 layout_from,
@@ -673,7 +675,7 @@ def calibrate(
                 depth_mm=depth_mm,
                 scene=None if scene is None else _load(scene, set_),
             )
-        yield text, {"file": str(tables), "overlay": str(drawn)}
+        yield text, {"file": tables and str(tables), "overlay": drawn and str(drawn)}
         return
     if overlay is not None or pitch_mm or depth_mm:
         raise InputError("--overlay, --pitch-mm and --depth-mm belong to --layout-from")

@@ -129,6 +129,11 @@ def test_a_good_camera_and_what_spoils_it(pictures, tmp_path):
     assert "hardly two exposures" in said(scene, copied, tmp_path)["good"]
     moved = [pair[0], np.roll(pair[1], 1, axis=1)]
     assert "mount the camera" in said(scene, moved, tmp_path)["good"]
+    touched = pair[1].copy()
+    touched[220:260, 300:340] = pair[1][220:260, 299:339]
+    answer = said(scene, [pair[0], touched], tmp_path)["good"]
+    assert "markers moved against the others" in answer
+    assert "mount the camera" not in answer
 
 
 def test_pictures_that_say_nothing_are_refused(tmp_path):

@@ -89,7 +89,7 @@ def test_without_a_scale_millimetres_are_left_to_be_filled_in(rest, tmp_path, sa
         twin.load_scene(tmp_path / "s.toml")
 
 
-def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, says):
+def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, monkeypatch, says):
     made = ["calibrate", "--layout-from", str(rest), "--out", str(tmp_path / "m.toml"), "--scene"]
     said = says(0, *made, "gelpad_press")
     table = tomllib.loads((tmp_path / "m.toml").read_text())["markers"]["dots"]
@@ -103,6 +103,13 @@ def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, says):
     near = tmp_path / "near.toml"
     near.write_text(f'base = "gelpad_press"\ncamera.pupil_mm = [0, 0, {place_mm - 6}]\n')
     assert float(says(0, *made, str(near)).split("z of about ")[1].split()[0]) == pytest.approx(place_mm, abs=0.3)
+    # Without --out the camera is told and the tables that the pitch made stay as they are.
+    monkeypatch.chdir(tmp_path)
+    there = set(tmp_path.iterdir())
+    said = says(0, "calibrate", "--layout-from", str(rest), "--scene", str(near))
+    assert "equal with focal_px" in said
+    assert "written" not in said
+    assert set(tmp_path.iterdir()) == there
 
 
 @pytest.mark.parametrize(

@@ -506,6 +506,10 @@ def test_the_recorded_rest_picture_gives_the_layout(tmp_path):
     picture.save(tmp_path / "rest.png")
     line = calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
     assert "halfspace" in line
+    assert "presses" not in line
+    (tmp_path / "presses.csv").write_text(HEAD)
+    line = calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
+    assert "none of the presses in presses.csv: --method fitted learns from them" in line
     calibration = read_calibration(tmp_path / "c.npz")
     assert np.abs(calibration.layout_px - places_px).max() < 0.1
     assert calibration.facts["reconstruction"]["method"] == wanted.reconstruction.method

@@ -148,9 +148,15 @@ def calibrate_to_file(
         progress("done", 1.0)
     line = f"{out}: {scene.calibration.method}, {len(made.site_mm)} sites, {text}"
     lines = [line, *_fitted_numbers(scene, json.loads(made.provenance))]
-    if scene.calibration.method == "fitted" and folder is None and scene.light is not None:
+    method = scene.calibration.method
+    if folder is not None and method not in BY_PRESSES and (folder / TABLE).is_file():
+        lines.append(
+            f"warning method {method} uses the rest picture alone, and none of the presses in "
+            f"{TABLE}: --method fitted learns from them"
+        )
+    if method == "fitted" and folder is None and scene.light is not None:
         lines += [f"warning {text}" for text in scene.light.turns()]
-    if scene.calibration.method == "fitted" and len(made.left_out) > 1:
+    if method == "fitted" and len(made.left_out) > 1:
         lines += _agreement(made.left_out)
     return "\n".join(lines)
 

@@ -273,6 +273,12 @@ SHARED_NOISE = 0.25
 MOVED = 5.0
 """Standard errors of the mean motion above which the sensor, or the camera, has moved."""
 
+TOUCHED = 8.0
+"""Standard deviations of a shift from which a marker has moved against the others, .."""
+
+TOUCHED_MARKERS = 3
+""".. and how many of them are no accident of dust or glint."""
+
 
 def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
     """Return lines about a camera, the last one whether it is good enough and why not.
@@ -356,6 +362,13 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
     if np.hypot(*common) > max(MOVED * 1.25 * stated / np.sqrt(seen.sum()), 0.01):
         problems.append(
             f"all markers moved by {common[0]:.2g}, {common[1]:.2g} px: mount the camera tighter"
+        )
+    alone = np.hypot(*(found.shift_px[seen] - common).T)
+    moved = alone > TOUCHED * max(measured, stated)
+    if moved.sum() >= TOUCHED_MARKERS:
+        problems.append(
+            f"{int(moved.sum())} markers moved against the others, by up to {alone.max():.2g} px: "
+            "did something touch the sensor in one of the pictures?"
         )
     return [
         f"markers     {int(seen.sum())} of {len(seen)} found, {width:.3g} px wide",

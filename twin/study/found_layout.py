@@ -39,8 +39,8 @@ LEAST_WIDTH_PX = 1200
 
 def layout_to_files(
     picture: Path,
-    out: Path,
-    overlay: Path,
+    out: Path | None,
+    overlay: Path | None,
     *,
     pitch_mm: Sequence[float] = (),
     depth_mm: Sequence[float] = (),
@@ -52,6 +52,8 @@ def layout_to_files(
     ----------
     picture
         Rest picture: PNG, BMP or JPEG.
+    out, overlay
+        Not written where they are None.
     pitch_mm, depth_mm
         One for all layers, or one each, in the order of the lines that are returned.
     scene
@@ -67,9 +69,9 @@ def layout_to_files(
         The picture shows no dots, or no lattice; other files or numbers that can't be used.
     """
     for option, path, suffix in (("out", out, ".toml"), ("overlay", overlay, ".png")):
-        if path.suffix.lower() != suffix:
+        if path is not None and path.suffix.lower() != suffix:
             raise InputError(f"--{option} {path}: must end in {suffix}")
-        if path.resolve() == picture.resolve():
+        if path is not None and path.resolve() == picture.resolve():
             raise InputError(f"--{option} {path}: is what is read; give another name")
     if scene is not None and (pitch_mm or depth_mm):
         raise InputError("--scene gives pitches and depths: leave --pitch-mm and --depth-mm out")
@@ -93,10 +95,14 @@ def layout_to_files(
         if scene is not None
         else _given(found, (height, width), pitch_mm, depth_mm)
     )
-    make_folder(out.parent)
-    make_folder(overlay.parent)
-    write_whole(out, _recipe(found, drawn, picture.name, image).encode())
-    write_whole(overlay, png_bytes(_draw_layout(image, found)))
+    files: dict[Path, bytes] = {}
+    if out is not None:
+        files[out] = _recipe(found, drawn, picture.name, image).encode()
+    if overlay is not None:
+        files[overlay] = png_bytes(_draw_layout(image, found))
+    for path, content in files.items():
+        make_folder(path.parent)
+        write_whole(path, content)
     lines = [
         f"{name:11s} {len(layer)} {layer.polarity} dots, {layer.columns} columns x {layer.rows} "
         f"rows, {layer.lattice}, pitch {layer.pitch_px:.4g} px, diameter {layer.diameter_px:.3g} "
@@ -119,7 +125,9 @@ def layout_to_files(
         lines.append(
             f"{'other':11s} {stray} spots on no grid (dirt, glints): rings without numbers"
         )
-    return "\n".join([*lines, f"written     {out}, {overlay}"])
+    if files:
+        lines.append(f"written     {', '.join(map(str, files))}")
+    return "\n".join(lines)
 
 
 @dataclass(frozen=True, kw_only=True)

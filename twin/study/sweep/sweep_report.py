@@ -67,7 +67,11 @@ FIGURES = {
     "two_point_mm": ("two points (mm)", "least distance at which two pushes show as two peaks", 1),
     "fwhm_mm": ("width (mm)", "of the field of the push in the middle, at half its height", 1),
     "total_force_error": ("force error (%)", "of the total force, root mean square", 100),
-    "resolution_gf": ("force noise (gf)", "standard deviation of the total force by noise", 1),
+    "resolution_gf": (
+        "force noise (gf)",
+        "standard deviation of the total force by noise; 1 gf is 9.81 mN",
+        1,
+    ),
     "dip": (
         "dip (%)",
         "how far the force falls between two pushes {pair:g} mm apart: 0 is one "
@@ -258,7 +262,7 @@ def _verdict(done: Swept) -> str:
         if found[best] > target:
             least = float(np.nanmin(np.where(done.status == "ok", found, np.nan)))
             missed.append(_as_asked(name, least, target) if least > target else "")
-    text = f"Make design {best} of {len(done.designs)}: {', '.join(map(str.strip, made))}. "
+    text = f"Make design {best}: {', '.join(map(str.strip, made))}. "
     text += f"It reaches: {'; '.join(reached)}."
     if never := [words for words in missed if words]:
         text += f" No design meets all targets; the least of all designs: {'; '.join(never)}."

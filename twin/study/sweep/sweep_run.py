@@ -587,9 +587,12 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
     coarse, done.warnings, enough = _coarse(done)
     inverse = done.designs.scene.reconstruction
     if inverse is not None and inverse.method == "local" and (done.fidelity == "linear").any():
+        remedy = (
+            "raise full under [confirm]" if "full" in sweep.fidelity else 'add "full" to fidelity'
+        )
         done.warnings.append(
             "the linear fidelity takes method smooth for local, which is not linear: with one "
-            'layer of markers its force errors are far too large; add "full" to fidelity'
+            f"layer of markers its force errors are far too large; {remedy}"
         )
     if (done.fidelity == "full").any():
         done.warnings += done.designs.scene.imaging[1].turns()
