@@ -347,7 +347,7 @@ def outcome(number: int, finer: bool) -> Iterator[dict[str, Any]]:
                 said["off"] = [
                     float(np.linalg.norm(np.subtract(one["force_n"], force)) / np.linalg.norm(force)),
                     abs(one["indentation_mm"] / other["indentation_mm"] - 1.0),
-                    traction_change(load, finer_load),
+                    traction_change(finer_load, load),
                     float(np.abs(u - v).max() / np.abs(v).max()) if np.any(u != v) else None,
                 ]
                 said["finer_stated"], said["finer_cpu_s"] = other["stated"], other["cpu_s"]

@@ -100,6 +100,13 @@ def test_sharp_edges_have_their_share_in_the_error(probe, tilt):
     assert off <= coarse.error.traction < 5.0 * off
 
 
+@pytest.mark.parametrize("face", [Cylinder(diameter_mm=4.0), Pillar(width_mm=4.0)], ids=["round", "square"])
+def test_what_sharp_rims_leave_to_finer_patches_is_stated(face):
+    coarse, fine = (pressed(Press(probe=face, indentation_mm=0.1), across=n) for n in (24, 36))
+    off = traction_change(fine.load, coarse.load)
+    assert off <= coarse.error.traction < 2.0 * off
+
+
 def test_a_ring_pressed_by_force_sinks_as_deep(ring):
     probe, force, _ = ring
     state = pressed(Press(probe=probe, force_n=(0.0, 0.0, force)), on=HalfSpace(0.5))
