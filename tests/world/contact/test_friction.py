@@ -24,6 +24,7 @@ from presses import (
 )
 from standard_bodies import FINGER
 
+import twin
 from benchmarks import flat
 from benchmarks.contact_theory import bonded_punch_stiffness, oblique_motion, sheared_motion, stick_radius, twisted
 from twin.errors import ContactError, NotSettled
@@ -396,6 +397,19 @@ def test_a_slide_there_and_back_takes_friction_times_the_way():
     way = 2 * 6.0 - 3 * carried
     assert back.dissipated_nmm == pytest.approx(MU * back.force_n[2] * way, rel=2e-3)
     assert_allclose(back.force_n, there.force_n * [-1, 1, 1], atol=1e-9)
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.6])
+def test_a_ball_that_slides_back_goes_on_from_where_it_turned_and_is_lifted(friction):
+    """It ended at step 14 and at step 18, as how far it slid jumped when all of it slipped back."""
+    steps = [step for step in (down(0.06), sideways(0.08), sideways(-0.08), down(-0.06)) for _ in range(5)]
+    wanted = Press(probe=Sphere(diameter_mm=6), friction=friction, steps=steps)
+    state = twin.Sensor(twin.load_scene("block_bare")).press(wanted)
+    assert state.complete
+    there, back = state.path[9], state.path[14]
+    assert_allclose(np.abs([there.force_n[0], back.force_n[0]]), friction * back.force_n[2], rtol=0.3)
+    assert there.force_n[0] * back.force_n[0] < 0.0
+    assert_allclose(state.force_n, 0.0, atol=1e-9)
 
 
 def carried_share(torque, x=0.0):

@@ -763,9 +763,10 @@ class FrictionalContact:
         )
 
     def slid(self, start: Floats, history: ContactHistory, found: Equilibrium) -> Floats:
-        """Return (p, 2) mm how far each probe slid as a whole so far, along its x and y: where all
-        its patches slip, as far as it came ahead of those that it carries along furthest, else as
-        far as at the ``start`` (p, 2).
+        """Return (p, 2) mm how far each probe slid as a whole so far, along its x and y: as far as
+        at the ``start`` (p, 2), and where all its patches slip, as far on as it came ahead of those
+        that it carries along furthest. Counted from the start, a slide that turns back begins with
+        none, as one from rest does.
 
         The mean over those in the first tenth of all distances, as the least one alone may jump
         between patches that mirror each other; their weights fall to zero at that tenth, as a patch
@@ -783,12 +784,13 @@ class FrictionalContact:
             )
             if history.moved_mm is not None:
                 behind += history.moved_mm[active, :2]
+            frames = self.patches.frames[active, :2]
+            behind += frames @ (start[number] @ setup.first.axes[:Z])
             length = np.hypot(behind[:, 0], behind[:, 1])
             further = (length - length.min()) / max(0.1 * float(np.ptp(length)), 1e-300)
             weights = np.maximum(1.0 - further, 0.0)
-            frames = self.patches.frames[active, :2]
             mean = np.einsum("k,ka,kai->i", weights / weights.sum(), behind, frames)
-            whole[number] = -setup.first.axes[:Z] @ mean
+            whole[number] -= setup.first.axes[:Z] @ mean
         return whole
 
     def lost_nmm(
