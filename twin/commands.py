@@ -757,8 +757,8 @@ def reconstruct(
     Every frame is one row: total force and torque with standard deviations, centre of pressure,
     markers found, the shift that all markers share (a bumped camera), and in .parquet and .npz the
     force at every site. A frame that fails is a row with its reason, and the sequence goes on (exit
-    code 3). Standard deviations are of the noise alone: errors of the calibration, such as of the
-    rubber's modulus, come on top.
+    code 3). Standard deviations are of the noise, and of what the tolerances of modulus and focal
+    length leave open; other errors of the calibration come on top.
 
     What isn't given from --method to --frames-per-second is taken from the [reconstruction] table
     of the recipe that was calibrated.

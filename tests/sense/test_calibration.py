@@ -60,6 +60,12 @@ def test_terms_of_no_rubber_are_refused(terms):
         dataclasses.replace(CALIBRATION, provenance=json.dumps({"relaxation": terms}))
 
 
+@pytest.mark.parametrize("factor", ["ab", None, -0.1, 1.0, float("nan")])
+def test_a_factor_of_no_forces_is_refused(factor):
+    with pytest.raises(InputError, match=r"calibration: scale_error = .* must lie from 0 to 1"):
+        dataclasses.replace(CALIBRATION, provenance=json.dumps({"scale_error": factor}))
+
+
 def test_damaged_files(tmp_path):
     path = tmp_path / "c.npz"
     with pytest.raises(InputError, match="does not exist"):

@@ -270,6 +270,21 @@ def test_stated_deviations_cover_the_truth():
     assert np.mean(np.abs(site) < 1.96) == pytest.approx(0.95, abs=0.03)
 
 
+@pytest.mark.parametrize("method", ["smooth", "local"])
+def test_made_sensors_read_by_their_design_are_off_by_what_is_stated(method):
+    """Noise alone was stated: 2 (smooth) and 14 deviations (local) for one, as no sensor's modulus is the drawing's."""
+    score, random = [], np.random.default_rng(5)
+    for seed in range(100, 110):
+        sensor = Sensor(load_scene("kamiyama_pillar", {"seed": seed, "calibration.method": "compliance"}))
+        calibration, rest, state = calibration_of(sensor), sensor.actual.markers.points, sensor.press()
+        shift = sensor.project(rest + sensor.motion(state.load).displacement_mm) - sensor.project(rest)
+        found = as_found(shift + random.normal(0, 0.02, shift.shape), calibration, 0.02)
+        field = reconstruct(found, calibration, method)
+        score.append((field.total_force_n - state.force_n)[2] / field.sd_total_n[2])
+    assert calibration.scale_error == pytest.approx(np.hypot(0.015, 0.003))
+    assert 1 / 3 < np.sqrt(np.mean(np.square(score))) < 1.3
+
+
 @pytest.mark.slow
 def test_one_layer_states_what_the_force_sideways_owes_to_where_forces_are_expected():
     """A gel pad without tolerances, and markers' true motion: components sideways were 3 to 7 deviations off."""

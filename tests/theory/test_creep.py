@@ -63,3 +63,23 @@ def test_a_shape_that_swings_is_ahead_by_the_loss_angle():
     wanted = abs(modulus) * np.sin(frequency * at[-1000:] + np.angle(modulus))
     assert np.angle(modulus) > 0.1
     assert found == pytest.approx(wanted, abs=1e-4)
+
+
+@pytest.mark.parametrize("at", [0.0, 0.5, 1.0])
+def test_what_a_sudden_change_between_two_pictures_does_lies_within_what_is_stated(at):
+    """Seen every second, but lifted at once in between: all of it at the end is the worst, and is stated exactly."""
+    seldom, true = Hereditary(RUBBER), Hereditary(RUBBER)
+    for history in (seldom, true):
+        history.after(0.0, np.ones(1))
+    assert seldom.off[0] == 0.0, "at once"
+    true.after(at, np.ones(1))
+    true.after(0.0, np.zeros(1))
+    true.after(1.0 - at, np.zeros(1))
+    late = [(seldom.after(1.0, np.zeros(1))[0], true.after(0.0, np.zeros(1))[0], seldom.off[0])]
+    late += [(seldom.after(1.0, np.zeros(1))[0], true.after(1.0, np.zeros(1))[0], seldom.off[0]) for _ in range(3)]
+    error = np.array([abs(found - wanted) for found, wanted, _ in late])
+    stated = np.array([off for *_, off in late])
+    assert np.all(error <= stated * (1 + 1e-9))
+    assert np.all(np.diff(stated) < 0.0)
+    if at == 1.0:
+        assert error == pytest.approx(stated, rel=1e-9)

@@ -206,6 +206,12 @@ class Scene(Part):
         focal_pct: float = Field(default=0.3, ge=0, le=10)
         distortion: float = Field(default=0.0, ge=0, le=0.2)
 
+        @property
+        def scale_error(self) -> float:
+            """Standard deviation of a factor on all forces read by the design, over 1."""
+            made = self.preset == "standard"
+            return made * math.hypot(self.youngs_modulus_pct, self.focal_pct) / 100
+
     class Tracking(Part):
         """How marker centres are measured.
 

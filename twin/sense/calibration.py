@@ -61,7 +61,8 @@ class Calibration:
     method
         Where the transfer comes from.
     provenance
-        JSON text: how it was made, with a digest of the nominal scene; see `relaxation`.
+        JSON text: how it was made, with a digest of the nominal scene; see `relaxation` and
+        `scale_error`.
     compliance
         (3n, 3k) mm/N, marker motion per site force, where the camera's bend is to be followed; else
         (0, 0).
@@ -143,7 +144,7 @@ class Calibration:
                 json.loads(getattr(self, name))
             except (ValueError, RecursionError) as problem:
                 raise InputError(f"calibration: {name} must be JSON text ({problem})") from None
-        self.relaxation  # noqa: B018  bad terms are refused here
+        self.relaxation, self.scale_error  # noqa: B018  bad terms are refused here
         if self.has_camera:
             self._optics  # noqa: B018  a bad camera is refused here
 
@@ -190,6 +191,18 @@ class Calibration:
                 "1 together) and a time above 0 s"
             )
         return Relaxation(share, time_s) if len(share) else None
+
+    @cached_property
+    def scale_error(self) -> float:
+        """Standard deviation of a factor that all forces share, from 0: of the modulus and the
+        focal length within their tolerances, or as fitted to presses; 0 if that isn't known.
+
+        It stands in `provenance`, as ``scale_error``.
+        """
+        found = self.facts.get("scale_error", 0.0)
+        if not (isinstance(found, int | float) and 0.0 <= found < 1.0):
+            raise InputError(f"calibration: scale_error = {found!r} must lie from 0 to 1")
+        return float(found)
 
     @cached_property
     def calibrated(self) -> Bools:

@@ -85,9 +85,9 @@ class Field(Table):
     sd_force_n
         (k, 3) standard deviation of the linear estimate's forces, given the prior, N.
     sd_total_n, sd_torque_nmm
-        (3,) standard deviations of the totals, N and N mm, by the noise alone: what the calibration
-        is off comes on top (1.5 % of the force where the modulus is 1.5 % off). By ``local`` of
-        fewer data than unknowns also by where forces are expected.
+        (3,) standard deviations of the totals, N and N mm: by the noise, and by the factor that the
+        calibration leaves open (`Calibration.scale_error`; one by recorded places leaves none). By
+        ``local`` of fewer data than unknowns also by where forces are expected.
     used
         (n,) which markers took part.
     wrong
@@ -145,8 +145,8 @@ class Field(Table):
 
         The displacements of a picture follow from the forces before it, too. `reconstruct` takes
         them for those of elastic rubber: what it finds rises under a force that is held, and stays
-        after the force has gone. Standard deviations stay as they are: those of the relaxed forces
-        are lower. Bounds that `reconstruct` was given hold for its own forces only.
+        after the force has gone. Standard deviations grow by what happens between pictures
+        (`Hereditary.off`). Bounds that `reconstruct` was given hold for its own forces only.
 
         Parameters
         ----------
@@ -158,11 +158,15 @@ class Field(Table):
         count = self.force_n.size
         parts = (self.force_n.ravel(), self.total_force_n, self.total_torque_nmm)
         forces = history.after(seconds, np.concatenate(parts))
+        off = history.off
         return replace(
             self,
             force_n=forces[:count].reshape(-1, 3),
             total_force_n=forces[count:-3],
             total_torque_nmm=forces[-3:],
+            sd_force_n=np.hypot(self.sd_force_n, off[:count].reshape(-1, 3)),
+            sd_total_n=np.hypot(self.sd_total_n, off[count:-3]),
+            sd_torque_nmm=np.hypot(self.sd_torque_nmm, off[-3:]),
         )
 
     def plot(self, ax: Any = None) -> Any:
@@ -259,6 +263,7 @@ def reconstruct(
         np.diag(problem.factors.covariance(linear.weight, calibration.total_rows))
     )
     sd_total[:3] = np.hypot(sd_total[:3], moved)
+    sd_total = np.hypot(sd_total, calibration.scale_error * totals)
     kkt = 0.0
     if push_only or friction is not None:
         at = linear.weight

@@ -405,11 +405,12 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
         camera=made.camera_text(design.camera_of(found.scaled), *scene.optics[1:]),
     )
     fitted = design.deviations(found)
-    stiffer = 1 + fitted.get("youngs_modulus", {}).get("deviation", 0.0)
+    modulus = fitted.get("youngs_modulus", {"deviation": 0.0, "sd": 0.0})
     facts = {
         "fitted": fitted,
         "model_px": found.model_px,
-        "youngs_modulus_mpa": scene.material.youngs_modulus_mpa * stiffer,
+        "youngs_modulus_mpa": scene.material.youngs_modulus_mpa * (1 + modulus["deviation"]),
+        "scale_error": modulus["sd"],
     }
     return _with_facts(made, presses, facts)
 
@@ -428,12 +429,14 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
 
     scene, sites, layout = sensor.nominal, sensor.sites, sensor.layout_px
     grid = scene.inverse.sites
+    measured = scene.calibration.method in BY_PRESSES
     facts = {
         "digest": _sensor_digest(scene),
         "method": scene.calibration.method,
         "scene": scene.title,
         "youngs_modulus_mpa": scene.material.youngs_modulus_mpa,
         "relaxation": [(term.share, term.time_s) for term in scene.material.relaxation],
+        "scale_error": 0.0 if measured else scene.tolerance.scale_error,
         "seed": scene.seed,
         "versions": {name: version(name) for name in PACKAGES},
     }

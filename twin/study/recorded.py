@@ -140,7 +140,7 @@ def reconstruct_recording(
             "come out far too small, beyond the stated deviations; take --method local",
             file=sys.stderr,
         )
-    summary = _Summary()
+    summary = _Summary(known.scale_error, clock is not None)
     try:
         with _LiveTable() as live:
             yield live.head
@@ -507,13 +507,18 @@ class _Summary:
 
     Attributes
     ----------
+    causes
+        Of the stated error.
     count, failed
         Frames.
     first
         The first frame with a reason, and this.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, scale_error: float, in_time: bool) -> None:
+        causes = [f"the calibration's factor ({100 * scale_error:.2g} %)"] * (scale_error > 0)
+        causes += ["rubber that relaxes between frames"] * in_time
+        self.causes = ", ".join(["of the markers' noise", *causes]) + " alone" * (not causes)
         self.count, self.failed = 0, 0
         self.first = ""
         self._doubted = 0
@@ -557,7 +562,7 @@ class _Summary:
         parts = [f"F{a} {row[f'f{a}_n']:.4g} ± {row[f'sd_f{a}_n']:.2g}" for a in "xyz"]
         lines += [
             f"markers     {shares}",
-            f"expected    error of a total force {expected:.2g} N, of the markers' noise alone",
+            f"expected    error of a total force {expected:.2g} N, {self.causes}",
             f"largest     {', '.join(parts)} N, in {row['frame']}",
         ]
         if bounded:

@@ -160,6 +160,13 @@ class Hereditary:
     relaxation
         The Prony series.
 
+    Attributes
+    ----------
+    off
+        (m,) by how much the last forces may be off, as the shape need not change linearly from one
+        to the next: a change at the interval's end is forgotten less than that by 1 - mean of each
+        term. What intervals add is independent, and fades with the terms.
+
     Examples
     --------
     A shape that is held:
@@ -174,10 +181,17 @@ class Hereditary:
     def __init__(self, relaxation: Relaxation) -> None:
         self._relaxation = relaxation
         self._memory: RubberMemory | None = None
+        self._variance: Floats = np.zeros((1, 1, 1))  # (n, n, m) of the terms' forces
+        self.off: Floats = np.zeros(0)
 
     def after(self, seconds: float, elastic: Floats) -> Floats:
         """Return the (m,) forces at the end of an interval from the (m,) elastic ones there."""
         memory = self._memory or RubberMemory.at_rest(self._relaxation, elastic.shape)
         share, left = memory.over(seconds)
+        kept, mean = _fading(seconds / self._relaxation.time_s)
+        added = np.multiply.outer(self._relaxation.share * (1.0 - mean), elastic - memory.elastic)
+        before = np.multiply.outer(kept, kept)[..., None] * self._variance
+        self._variance = before + added[:, None] * added
+        self.off = np.sqrt(self._variance.sum(axis=(0, 1)))
         self._memory = memory.after_elastic(seconds, elastic.copy())
         return np.asarray(share * elastic + left)
