@@ -190,6 +190,21 @@ def test_marginal_likelihood_finds_a_drawn_weight():
     assert 2.0 < np.median(validated) < 20.0
 
 
+@pytest.mark.parametrize("shape", [(120, 40), (80, 90)])
+def test_every_rule_chooses_the_weight_of_the_weighted_problem(shape):
+    """Data that are lost, noisier or less noisy than usual, against a factorisation of the very problem."""
+    random = np.random.default_rng(6)
+    h = random.normal(0, 1, shape) * np.geomspace(1, 1e-2, shape[1])
+    share = np.ones(shape[0])
+    share[:20], share[20:30], share[30:32] = random.uniform(0.02, 0.2, 20), 0.0, 30.0
+    noise = random.normal(0, 0.05, shape[0]) / np.sqrt(np.maximum(share, 1e-3))
+    data, seen, root = h @ random.normal(0, 1, shape[1]) + noise, share > 0, np.sqrt(share)
+    weighted = dataclasses.replace(Factors.of(h, np.eye(shape[1])), share=share)
+    own = Factors.of((root[:, None] * h)[seen], np.eye(shape[1]))
+    for rule in ("likelihood", "gcv", "auto"):
+        assert weighted.weight(rule, data) == pytest.approx(own.weight(rule, (root * data)[seen]), rel=1e-6), rule
+
+
 @pytest.mark.parametrize(("least", "weights"), [(1e-3, (1e-6, 0.1)), (1e-12, (1e-9,))])
 def test_factors_of_some_markers_are_their_own_and_round_off_chooses_no_weight(least, weights):
     """More unknowns than data, and none of it noise: small weights all explain the data."""

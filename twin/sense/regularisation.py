@@ -10,9 +10,10 @@ A marker that is lost in a picture, or far noisier than at rest, changes rows of
 of its information that every datum has (1 usual, 0 lost), the solution F = (H^T W H + w Q)^-1 H^T W
 d is the unweighted one of other data: d' = W d + (1 - W) H F. As H F = A d' with
 A = U diag(S^2/(S^2 + w)) U^T, these are as many equations as there are such data: exact, for any
-weight. The covariance follows from the same few rows (Woodbury's formula). An automatic weight is
-that of the filled data: with a tenth of the finger's markers lost it is .91 times that of the
-measured ones alone, by which forces move by a tenth of their standard deviation.
+weight. The covariance follows from the same few rows (Woodbury's formula). The rules for a weight
+look at the weighted problem's own spectrum, W^1/2 H L^-T = U' S' V'^T, from V' S'^2 V'^T = S (1 -
+U^T (1 - W) U) S in the base's V: filled data have no noise where they were filled, and their
+cross-validated weight is up to twenty times that of the weighted problem.
 
 Validity: the other markers must nearly determine the forces by themselves
 (`twin.sense.inverse.Problem` factorises again where more data are concerned)."""
@@ -52,10 +53,8 @@ ROBUSTNESS = 0.3
 LIKELY = 2.0
 """What the most likely weight is raised by where none is given."""
 
-FIRST, STEADY, TURNS = 1e-4, 0.05, 12
-"""Where the search for a weight starts, over the largest squared singular value, the relative
-change that ends it, and its most steps, as lost data are filled in with what the weight makes of
-the others."""
+ROUND_OFF = 1e-14
+"""Squared singular values of a weighted problem, over the largest, that are round-off."""
 
 
 def _automatic(seen: Factors.Spectrum) -> float:
@@ -234,14 +233,14 @@ class Factors:
         must be finite."""
         return self._completed(data, weight)[0]
 
-    def _completed(
-        self, data: Floats, weight: float, others: Floats | None = None
-    ) -> tuple[Floats, Floats]:
-        """Return `filled` data, and U^T of them; ``others`` is `_of_others` where it is known."""
+    def _completed(self, data: Floats, weight: float) -> tuple[Floats, Floats]:
+        """Return `filled` data, and U^T of them."""
         rows = self.rows
-        others = self._of_others(data) if others is None else others
         if not len(rows):
-            return data, others
+            return data, np.asarray(self.left.T @ data)
+        usual = data.copy()
+        usual[rows] = 0.0
+        others = self.left.T @ usual
         keep = self._keep(weight)
         some, lack = self.left[rows], (1.0 - self.share[rows])[:, None]
         columns = data.reshape(len(data), -1).copy()
@@ -252,14 +251,6 @@ class Factors:
         columns[rows] = np.linalg.solve(within, measured + lack * from_others)
         along = along + some.T @ columns[rows]
         return columns.reshape(data.shape), along.reshape(others.shape)
-
-    def _of_others(self, data: Floats) -> Floats:
-        """Return U^T of the data with zeros for `rows`, which no weight changes."""
-        rows = self.rows
-        if len(rows):
-            data = data.copy()
-            data[rows] = 0.0
-        return np.asarray(self.left.T @ data)
 
     def towards(self, data: Floats, predicted: Floats) -> Floats:
         """Return (m,) data filled with what any solution predicts: with its own, it is that
@@ -273,16 +264,7 @@ class Factors:
 
     def weight(self, rule: WeightRule, data: Floats) -> float:
         """Return the weight that one of `RULES` chooses for the data."""
-        others = self._of_others(data)
-        if not len(self.rows):
-            return RULES[rule](self._spectrum(data, others))
-        chosen = FIRST * float(self.singular.max(initial=0.0)) ** 2
-        for _ in range(TURNS):
-            before = chosen
-            chosen = RULES[rule](self._spectrum(*self._completed(data, before, others)))
-            if abs(chosen - before) <= STEADY * before:
-                break
-        return chosen
+        return RULES[rule](self._spectrum(data))
 
     def freedom(self, weight: float) -> float:
         """Return the degrees of freedom of the residual over the number of data."""
@@ -296,7 +278,7 @@ class Factors:
             residual = data - self.predicted(data, weight)
             squared = max(float((self.share * data) @ residual), 0.0)
         else:  # without the cancellation where weights are small
-            seen = self._spectrum(data, self._of_others(data))
+            seen = self._spectrum(data)
             squared = float(seen.energy @ (weight / (seen.squared + weight))) + seen.rest
         return float(np.sqrt(squared / max(int((self.share > 0).sum()), 1)))
 
@@ -328,13 +310,22 @@ class Factors:
         response, more = self._more(weight)
         return np.asarray(usual + np.einsum("si,si->i", response, more @ response))
 
-    def _spectrum(self, data: Floats, coefficient: Floats) -> Factors.Spectrum:
+    def _spectrum(self, data: Floats) -> Factors.Spectrum:
+        """Return the weighted problem's spectrum; lost data must be finite."""
+        rows, known = self.rows, self.share * data
+        count = int((self.share > 0).sum())
+        pull = self.left.T @ known
+        squared, energy = self.singular**2, pull**2
+        if len(rows):
+            some = self.left[rows] * self.singular
+            gram = np.diag(squared) - (some.T * (1.0 - self.share[rows])) @ some
+            squared, turn = (found[..., -count:] for found in np.linalg.eigh(gram))
+            squared = np.maximum(squared, ROUND_OFF * squared.max(initial=np.finfo(float).tiny))
+            energy = (turn.T @ (self.singular * pull)) ** 2 / squared
         rest = 0.0  # what lies outside is round-off where U is square
-        if len(data) > len(coefficient):
-            rest = max(float(data @ data) - float(coefficient @ coefficient), 0.0)
-        return Factors.Spectrum(
-            squared=self.singular**2, energy=coefficient**2, rest=rest, count=len(data)
-        )
+        if count > len(squared):
+            rest = max(float(known @ data) - float(energy.sum()), 0.0)
+        return Factors.Spectrum(squared=squared, energy=energy, rest=rest, count=count)
 
     def _filtered(self, weight: float) -> Floats:
         """Return (r,) factors S/(S^2 + weight); weight 0 is the pseudo-inverse, cut at round-off
