@@ -76,4 +76,4 @@ def compare(folder: str) -> dict[str, float]:
 
 if __name__ == "__main__":
     for name, value in compare(sys.argv[1]).items():
-        print(f"{name:12s} {value:.4g}")
+        print(f"{name:12s} {value:.4g}" + ("" if name == "samples" else " N, root mean square"))
