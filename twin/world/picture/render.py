@@ -174,17 +174,15 @@ class Renderer:
             )
         return chosen
 
-    def _like(self, variant: Variant, **tables: Any) -> Renderer:
-        """Return a renderer of the same exposure of a scene with other tables."""
+    def _like(self, variant: Variant, exposure: float | None = None, **tables: Any) -> Renderer:
+        """Return a renderer, of this exposure unless told, of a scene with other tables."""
+        gain = self._gain if exposure is None else exposure * self._top
         scene = self.scene.model_copy(update=tables)
-        return Renderer(scene, self._rest, variant, self.subpixels, self.shadows, self._gain)
+        return Renderer(scene, self._rest, variant, self.subpixels, self.shadows, gain)
 
     def of_exposure(self, exposure: float) -> Renderer:
         """Return this renderer with another `exposure`."""
-        if exposure == self.exposure:
-            return self
-        gain = exposure * self._top
-        return Renderer(self.scene, self._rest, self.variant, self.subpixels, self.shadows, gain)
+        return self if exposure == self.exposure else self._like(self.variant, exposure)
 
     @property
     def centroid_error_px(self) -> float:
