@@ -94,9 +94,8 @@ def test_difference_to_linear_theory_is_that_of_another_code(case):
     assert left < 2.5e-4 + case["own_error"] + rounded < missed / 10
     assert left < state.error.strain.markers + case["own_error"] < 1e-3
     assert state.indentation_mm / straight.indentation_mm - 1.0 == pytest.approx(deeper(case), abs=2e-3)
-    assert state.contact_radius_mm == pytest.approx(
-        case["contact_mm"], rel=1e-2 if case["kind"] == "sphere" else 1.5e-2
-    )
+    touched = min(case["contact_mm"], case["diameter_mm"] / 2)  # another code's end passes a sharp rim by 1.5 %
+    assert state.contact_radius_mm == pytest.approx(touched, rel=1e-2 if case["kind"] == "sphere" else 1.5e-2)
     assert state.force_n == pytest.approx([0.0, 0.0, case["force_n"]], abs=1e-9)
     assert state.move_mm[2] == pytest.approx(state.indentation_mm, rel=1e-9)
     added = sensor.displacement(places, state) - made("linear", **{"body.thickness_mm": thick}).displacement(
@@ -124,6 +123,22 @@ def test_stated_error_holds_wherever_in_an_element_the_contact_ends(force):
     for field, stated, wider in rows[1:]:
         assert largest(field - rows[0][0]) < min(stated + rows[0][1], 1.5e-4) * size
         assert wider == pytest.approx(rows[0][2], rel=5e-3)
+
+
+def test_cylinder_on_thin_rubber_states_an_error_that_covers_a_finer_mesh(monkeypatch):
+    """On as few elements as under a sphere, as on the coarser mesh, 0.05 % is left (NGSolve), 0.03 % was stated."""
+    sensor = made("linear", **{"body.thickness_mm": 3.0, "material.poisson_ratio": 0.49})
+    press = twin.Press(probe=Cylinder(diameter_mm=4.027, edge_mm=0.4027), force_n=(0, 0, 2.3655))
+    state, body = sensor.press(press), sensor.nominal.body
+    rubber = sensor.nominal.material.model_copy(update={"law": "neo_hookean"})
+    places = np.array([[r, 0.0, z] for z in (0.805, 1.8) for r in (0.0, 0.6, 1.2, 2.0, 3.0)])
+    more = round_slab.SlabStrain(press, body, rubber, state, places)
+    monkeypatch.setattr(round_slab, "_UNDER_RIM", 2.2)
+    finer = round_slab.SlabStrain(press, body, rubber, state, places)
+    left = largest(more.displacement(places) - finer.displacement(places))
+    size = largest(sensor.displacement(places, state))
+    assert left < 2e-4 * size
+    assert left < more.error.markers * size < 6e-4 * size
 
 
 def test_sharp_rim_is_the_limit_of_sharper_and_sharper_ones():
@@ -377,6 +392,8 @@ def test_two_far_spheres_sink_as_one_does():
     strained = one.load.strained.indentation_mm
     assert two.load.strained.moved[:, 2] == pytest.approx([strained] * 2, rel=0.15)
     assert two.also[0].move_mm[2] == pytest.approx(two.also[0].indentation_mm, rel=1e-9)
+    assert two.also[0].validity.linearisation_basis == "measured"
+    assert two.also[0].validity.notes == two.validity.notes
     places = np.array([[-8.0, 0.0, 1.0], [-8.5, 0.3, 1.5]])
     assert two.load.strained.displacement(places) == pytest.approx(
         one.load.strained.displacement(places), abs=5e-3 * largest(sensor.displacement(places, one))
@@ -538,7 +555,7 @@ def somewhere():
         ({"friction": 0.5, "steps": ROLLED, "force_n": None}, {}, "doesn't roll"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "upright probes"),
         (GUIDED, {}, "guided along their way"),
-        ({}, {"poisson_ratio": 0.4}, "poisson_ratio"),
+        ({}, {"poisson_ratio": 0.4}, "poisson_ratio: as made below 0.45"),  # not the drawn number
     ],
 )
 def test_what_is_not_solved_on_a_whole_body_is_refused_with_its_cause(press, rubber, words, somewhere):

@@ -260,20 +260,15 @@ def _strained(
         f"{100 * more.linear_error:.2g} % of the largest displacement off, and the {what} is "
         f"{abs(change):.2g} % {'larger' if change > 0 else 'smaller'} than by it"
     )
-    also = tuple(
-        _moved(other, more.moved[number], float(more.wider[number]), axes)
-        for number, (other, axes) in enumerate(zip(state.also, more.axes[1:], strict=True), start=1)
+    first, *also = (
+        replace(
+            _moved(one, moved, float(wider), axes), validity=_measured(one.validity, more, note)
+        )
+        for one, moved, wider, axes in zip(
+            (state, *state.also), more.moved, more.wider, more.axes, strict=True
+        )
     )
-    return replace(
-        _pushed(
-            _moved(state, more.moved[0], float(more.wider[0]), found.approach.axes),
-            more,
-            found.approach,
-        ),
-        also=also,
-        validity=_measured(state.validity, more, note),
-        estimate=estimate,
-    )
+    return replace(_pushed(first, more, found.approach), also=tuple(also), estimate=estimate)
 
 
 def _pushed(state: ContactState, more: FiniteStrain, approach: Approach) -> ContactState:

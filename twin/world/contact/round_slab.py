@@ -85,17 +85,19 @@ the radius where the contact may end, and the largest height over the slab's, as
 most where it is held."""
 
 _FITTED = 4
-_BEYOND = 0.05
-"""Borders of elements from which the contact's end is extrapolated, and the least share of the
-force beyond them."""
+_BEYOND = 0.05, 0.4
+"""Borders of elements from which the contact's end is extrapolated, at least, and the least and
+largest share of the force beyond them."""
 
 _COARSER = 0.7
+_UNDER_RIM = 1.5
 _ERROR_OVER_CHANGE = 0.5
 _CONE_OVER_CHANGE = 1.0
 _RIM_OVER_CHANGE = 0.7, 1.5
 _LEAST_ERROR = 1e-4
-"""How many times as many elements the mesh has that estimates the error; error over the change to
-it, under spheres, under cones, whose tip ends inside an element, and under cylinders whose rim is
+"""How many times as many elements the mesh has that estimates the error, and one under a cylinder,
+where both meshes may otherwise miss the same 0.05 %; error over the change to the coarser mesh,
+under spheres, under cones, whose tip ends inside an element, and under cylinders whose rim is
 solved as it is or rounder; and what is added: the springs' film is in both, and the change may be
 small by chance. Fitted to presses whose error is known (docs/validity.md)."""
 
@@ -274,7 +276,9 @@ class SlabStrain(FiniteStrain):
         self._thick_mm = float(high[Z] - low[Z])
         over_change = _ERROR_OVER_CHANGE
         probe = press.probe
+        self._finer = 1.0
         if isinstance(probe, Cylinder):
+            self._finer = 1.0 if coarse else _UNDER_RIM
             flat = probe.diameter_mm / 2.0 - probe.edge_mm
             self._rim = probe if flat > _FLAT * state.contact_radius_mm else None
             over_change = _RIM_OVER_CHANGE[probe.edge_mm < self._least_edge_mm(probe)]
@@ -311,8 +315,9 @@ class SlabStrain(FiniteStrain):
     def _solved(self, coarser: bool) -> FiniteStrain.Solutions:
         """Return both solutions on a slab."""
         state = self._state
-        share = _COARSER if coarser or self._coarse else 1.0
         radius_mm = self._radii_mm[coarser]
+        coarser |= self._coarse
+        share = self._finer * (_COARSER if coarser else 1.0)
         size = state.contact_radius_mm
         approach = self._approach
         if self._rim is None:
@@ -324,7 +329,7 @@ class SlabStrain(FiniteStrain):
             edge = self._rim.edge_mm
             least = self._least_edge_mm(self._rim)
             if edge < least:
-                edge = least if share == 1.0 else 2.0 * least
+                edge = 2.0 * least if coarser else least
                 approach = approach.with_edge(edge)
             high = self._rim.diameter_mm / 2.0
             low = high - edge
@@ -629,7 +634,9 @@ class _Touch:
         """
         ring = (pressure * self.area_mm2).reshape(-1, _POINTS).sum(axis=1)
         beyond = np.append(np.cumsum(ring[::-1])[::-1], 0.0) / ring.sum()
-        last = np.flatnonzero(beyond > _BEYOND)[-_FITTED:]
+        least, most = _BEYOND
+        last = np.flatnonzero(beyond > least)
+        last = last[-max(_FITTED, int(np.sum(beyond[last] < most))) :]
         squared = self._border_mm[last] ** 2
         ends = np.polynomial.Polynomial.fit(squared, beyond[last] ** (2.0 / 3.0), 2).roots()
         end = math.sqrt(ends[np.argmin(np.abs(ends - squared[-1]))].real)
