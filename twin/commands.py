@@ -360,7 +360,11 @@ def mesh(
 
 _Layers = Annotated[
     tuple[float, ...],
-    Parameter(help="Of the dots, mm; twice for two layers.", show_default=False),
+    Parameter(
+        help="Of the dots, mm; two numbers for two layers.",
+        show_default=False,
+        consume_multiple=1,
+    ),
 ]
 
 
