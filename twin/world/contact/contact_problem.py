@@ -709,6 +709,7 @@ class FrictionalContact:
             area_mm2=self.patches.area_mm2,
             friction=np.where(frictional, self.friction[self.contacts.owner], 0.0),
             offset=self.offset(history),
+            sideways=bool(self.friction.any()),
         )
 
     def at_first_touch(self) -> ContactHistory:
@@ -810,6 +811,8 @@ class FrictionalContact:
         touched in between has slipped from where it was held; where it slid before that, nothing
         pressed on it.
         """
+        if not self.friction.any():
+            return 0.0
         before = history.force_n[:, :2]
         after = force_n[:, :2]
         grown = ~history.slipping & (np.hypot(*before.T) < np.hypot(*after.T))
