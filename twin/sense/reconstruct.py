@@ -256,7 +256,7 @@ def reconstruct(
     else:
         given = weight if METHODS[method].weighted else 0.0
         linear = _solved(problem, whole, given, robust, camera)
-        sd_force, moved = linear.sd_force_n, np.zeros(3)
+        sd_force, moved = linear.sd_force_n, 0.0
     problem, force = linear.problem, linear.force_n
     totals = calibration.total_rows @ force.ravel()
     sd_total = linear.scale * np.sqrt(
@@ -471,8 +471,8 @@ def _bend_of(problem: Problem, force: Floats) -> Floats:
 
 
 TURNS = 2
-"""Solutions after the first; from one that is known beforehand, such as the last frame's, one is
-enough."""
+"""Solutions after the first, and one more where data are fewer than unknowns: from a first one that
+finds a quarter of the force the second still lacks 4 % of it, the third 1 %."""
 
 AROUND = 1.0
 """Standard deviation of the average over neighbours, sites."""
@@ -545,29 +545,26 @@ def _with_model_error(problem: Problem, whole: Floats) -> tuple[Problem, Floats]
 
 def _solved_locally(
     problem: Problem, whole: Floats, weight: float | WeightRule, robust: bool, camera: bool
-) -> tuple[_Linear, Floats, Floats]:
+) -> tuple[_Linear, Floats, float]:
     """Solve with forces expected where the smooth solution, then the local one, has some.
 
     Returns
     -------
-    The solution; (k, 3) deviations, N; and (3,) what its total owes to where forces are expected,
-    if there are fewer data than unknowns, N: by how much the last turn moved it sideways. Along
-    the mean normal turns still converge.
+    The solution; (k, 3) deviations, N; and what each component of its total owes to where forces
+    are expected, if there are fewer data than unknowns, N: by how much the last turn moved it.
     """
     found = smooth = _solved(problem, whole, "auto", robust, camera)
-    few, frames = len(whole) < len(problem.base.penalty), problem.calibration.site_frames
+    few = len(whole) < len(problem.base.penalty)
     problem, whole = _with_model_error(problem, whole)
     rule = "likelihood" if weight == "auto" else weight
-    for _ in range(TURNS):
+    for _ in range(TURNS + few):
         if not found.force_n.any():
-            return smooth, smooth.sd_force_n, np.zeros(3)
+            return smooth, smooth.sd_force_n, 0.0
         before = found
         found = _solved(_localised(problem, found.force_n), whole, rule, robust, camera)
     carries = found.problem.factors.back.any(axis=1).reshape(-1, 3)
-    normal = frames[:, 2].sum(axis=0) / np.linalg.norm(frames[:, 2].sum(axis=0))
-    moved = few * (found.force_n - before.force_n).sum(axis=0)
-    sideways = moved - (moved @ normal) * normal
-    return found, np.where(carries, found.sd_force_n, smooth.sd_force_n), sideways
+    moved = few * float(np.linalg.norm((found.force_n - before.force_n).sum(axis=0)))
+    return found, np.where(carries, found.sd_force_n, smooth.sd_force_n), moved
 
 
 LEAST_PX = 0.5

@@ -110,7 +110,8 @@ def at_frames(press: Press, frames_per_second: float) -> tuple[Press, Floats]:
     if not 1 < len(frames) <= MOST_FRAMES:
         raise RecipeError(
             f"press.steps: seconds sum to {ends_s[-1]:g}, which at {frames_per_second:g} frames a "
-            f"second makes {len(frames)} pictures; 2 to {MOST_FRAMES:,} are filmed"
+            f"second makes {len(frames)} pictures; 2 to {MOST_FRAMES:,} are filmed: give steps "
+            "their time, as in press.steps = [{force_n = {z = 0.2}, seconds = 0.5}]"
         )
     for one in (press, *press.also):
         for number, (last, step) in enumerate(pairwise(one.path), start=2):
