@@ -24,7 +24,6 @@ solve for every patch: minutes.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -303,7 +302,7 @@ class Ladder:
         self._surface_table = surface_table
         self._progress = progress
         self._rungs: dict[Level, Compliance] = {}
-        self._places: list[tuple[Level, Points, float, Compliance]] = []
+        self._places: list[tuple[Level, Points, Floats, Compliance]] = []
 
     def _at(self, level: Level) -> Compliance:
         """Return the compliance on one level."""
@@ -350,18 +349,18 @@ class Ladder:
             law = EXPECTED[self._body.is_flat, level]
             if HOPE * law.inside > self._asked and level != WORLD[-1]:
                 continue
-            centres, width = self._steep(level, load)
+            centres, widths = self._steep(level, load)
             if len(centres) == 0 or not self._body.is_flat:
                 yield self._at(level)
             if len(centres):
-                yield self._refined(level, centres, width)
+                yield self._refined(level, centres, widths)
 
-    def _steep(self, level: Level, load: Rectangles) -> tuple[Points, float]:
+    def _steep(self, level: Level, load: Rectangles) -> tuple[Points, Floats]:
         """Return the places (k, 3) of rectangles that leave more out of balance beside them than
-        the level's elements follow, and the least width of that, mm."""
+        the level's elements follow, and the width (k,) of that, mm."""
         body = self._body
         if len(load) == 0:
-            return load.centre_mm, math.inf
+            return load.centre_mm, np.zeros(0)
         edge = Sizing.of(body, level).fine_mm
         size = float(np.linalg.norm(np.ptp(load.centre_mm, axis=0), axis=0)) / 2.0
         size += float(load.half_mm.max(initial=0.0))
@@ -373,38 +372,42 @@ class Ladder:
         if not body.is_flat and body.own_surface is None:  # triangles are no finer than they are
             width = np.minimum(width, WITHIN * size)
         steep = width < edge
-        return load.centre_mm[steep], max(width.min(initial=np.inf), SHORTEST * size)
+        return load.centre_mm[steep], np.maximum(width[steep], SHORTEST * size)
 
-    def _refined(self, level: Level, centres: Points, width: float) -> Compliance:
+    def _refined(self, level: Level, centres: Points, widths: Floats) -> Compliance:
         """Return the compliance of a level whose mesh is refined around places (k, 3): one made
         before, or a new one."""
         for of, around, finest, made in self._places:
-            away = np.linalg.norm(centres[:, None] - around, axis=2).min(axis=1).max()
-            if of == level and away <= width / 2.0 and finest <= 1.25 * width:
+            near = np.linalg.norm(centres[:, None] - around, axis=2) <= widths[:, None] / 2.0
+            if of == level and (near & (finest <= 1.25 * widths[:, None])).any(axis=1).all():
                 return made
         less = EXPECTED[self._body.is_flat, level].compared(self._body)
         other = Compliance(
-            self._body, self._material, self._mesh_around(less, level, centres, width), level=less
+            self._body, self._material, self._mesh_around(less, level, centres, widths), level=less
         )
         made = Compliance(
             self._body,
             self._material,
-            self._mesh_around(level, level, centres, width),
+            self._mesh_around(level, level, centres, widths),
             level=level,
             compared=other,
         )
-        self._places = [*self._places, (level, centres, width, made)][-PLACES:]
+        self._places = [*self._places, (level, centres, widths, made)][-PLACES:]
         return made
 
-    def _mesh_around(self, base: Level, level: Level, centres: Points, width: float) -> Mesh:
+    def _mesh_around(self, base: Level, level: Level, centres: Points, widths: Floats) -> Mesh:
         """Return the mesh of ``base``, refined around places (k, 3) as `LOCAL` says of ``level``,
-        or `COARSER` times less."""
+        or `COARSER` times less; those of like widths, to a factor of 2, together."""
         from scipy.spatial import cKDTree
 
-        tree = cKDTree(centres)
+        octave = np.floor(np.log2(widths / widths.min()))
+        alike = [octave == number for number in np.unique(octave)]
+        trees = [(cKDTree(centres[rows]), widths[rows].min()) for rows in alike]
         share = LOCAL[level] * (1.0 if base == level else COARSER)
+
+        def longest(points: Points) -> Floats:
+            away = [np.maximum(tree.query(points)[0], width) for tree, width in trees]
+            return np.asarray(share * np.min(away, axis=0))
+
         bare = body_mesh(self._body, base, progress=self._progress)
-        fine = refined(
-            bare, self._body, lambda points: share * np.maximum(tree.query(points)[0], width)
-        )
-        return drawn_to_rim(fine, self._body)
+        return drawn_to_rim(refined(bare, self._body, longest), self._body)
