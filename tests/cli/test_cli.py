@@ -66,6 +66,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
             ["run", "kamiyama_pillar", "-s", "press.at_mm=[1,2,3,4]"],
             "at_mm = [1, 2, 3, 4] mm: must be a list of at most 3",
         ),
+        (["run", "kamiyama_pillar", "-s", "press.at_mm=[.5, 0]"], "[.5, 0] is no list or table as TOML writes it"),
         (["run", "kamiyama_pillar", "-s", "press.direction=down"], "must be a list, such as [0, 0, 0] or 'normal'\n"),
         (
             ["run", "kamiyama_pillar", "-s", "press.albedo=0.5"],

@@ -197,7 +197,12 @@ def parse_overrides(texts: Sequence[str]) -> Table:
             )
         try:
             given = tomllib.loads(f"value = {value}")["value"]
-        except (tomllib.TOMLDecodeError, RecursionError):
+        except (tomllib.TOMLDecodeError, RecursionError) as problem:
+            if value.startswith(("[", "{")):
+                raise InputError(
+                    f"-s {key}: {value} is no list or table as TOML writes it ({problem}); numbers "
+                    "need a digit before the point, text needs quotes"
+                ) from None
             given = value
         except ValueError as problem:
             raise InputError(f"-s {key}: {problem}") from None
