@@ -415,8 +415,8 @@ def film_to_folder(
         [
             f"film        {count} pictures in {rows[-1]['time_s']:.3g} s, {rate:g} a second; "
             f"markers move up to {largest:.3g} px",
-            f"truth       displacements {np.max(truth['displacement_error']):.1g} of the largest "
-            f"off, by linear theory {np.max(truth['linearisation_error']):.1g}",
+            f"truth       displacements {100 * np.max(truth['displacement_error']):.1g} % of the "
+            f"largest off; linear theory {100 * np.max(truth['linearisation_error']):.1g} %",
             f"written to  {film if h264 else pictures}, with the truth in {folder / 'truth.npz'}",
         ]
     )
