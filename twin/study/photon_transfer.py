@@ -116,15 +116,13 @@ class _PhotonTransfer:
         ]
 
 
-def photon_transfer(ccd: Ccd, seed: int = 1) -> _PhotonTransfer:
+def photon_transfer(ccd: Ccd) -> _PhotonTransfer:
     """Measure a chip by EMVA 1288.
 
     Parameters
     ----------
     ccd
         The CCD of a scene.
-    seed
-        Of its noise and fixed pattern.
 
     Raises
     ------
@@ -141,7 +139,7 @@ def photon_transfer(ccd: Ccd, seed: int = 1) -> _PhotonTransfer:
     off |= {"bandwidth_mhz": "off", "jpeg_quality": "off", "white_balance": "off"}
     off |= dict.fromkeys(("haze", "ghost", "smear", "flicker", "auto_exposure", "auto_gain"), 0)
     chip = ccd.model_copy(update=off)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     pattern = Pattern.drawn(chip, SIZE_PX, rng)
     response = chip.response.sum(axis=1)
     channel = int(np.argmax(response))
