@@ -8,9 +8,9 @@ as it hangs together over the ground around the markers.
 noise: for pure dyes it is the one channel that shows the marker. The paper's difference of red and
 blue has the noise of two channels. It is used to find spots, not to measure centres.
 
-**Slope of brightness.** The slope across a marker has two parts. One follows from the lamps and is
-a smooth function of the place in the picture (a quadratic); it changes as a marker moves. The other
-belongs to the marker and moves with it; it is used where it is large.
+**Slope of brightness.** A marker is brighter on one side for two reasons. The light falls off over
+the picture: that slope is a quadratic of the place, and another one where the marker has moved to.
+And a marker may be uneven by itself: that slope moves with it, and is used where it is large.
 """
 
 from __future__ import annotations
@@ -398,8 +398,9 @@ def in_other_light(
     """Return templates whose slopes of brightness follow the light, and their fits, where it has
     changed over the picture since rest; None where no more than by chance.
 
-    Light that changes from marker to marker also changes across each of them. Only where both are
-    found, and agree, has it changed: pixels that lie alike on all markers feign slopes. ``fitted``
+    Other light shows twice: the markers' levels have changed smoothly over the picture, and the
+    brightness across each marker has the same slope. Both are asked for, as slopes alone are
+    feigned where all markers lie alike on the pixels. ``fitted``
     (n, `COLUMNS`) are the fits without; ``evenly`` (n, 3) a constant and two slopes over the
     picture, orthonormal over the markers.
     """

@@ -148,19 +148,27 @@ COLUMNS = SLOPE_Y + 1
 CENTRE, VARIANCE = slice(CENTRE_X, CENTRE_Y + 1), slice(VAR_X, VAR_Y + 1)
 THIRD, TILTED = slice(THIRD_X, THIRD_Y + 1), slice(TILTED_X, TILTED_Y + 1)
 SLOPES = slice(SLOPE_X, SLOPE_Y + 1)
-"""What `Templates.fit` gives for a marker: centre, level, ground, scale against the template;
-variances of the centre; share of the edge in sight; sum of squared residuals over how many pixels;
-last step in px; squared residuals over their expected size; share of the edge in sight that fits;
-how far the edge lies outside the model's as the cosine and sine of three times the angle, px; for
-some markers, the most light that a pixel on the marker lacks, or one beyond its edge has too much,
-as a share of the marker's; along
-`DIRECTIONS` from 0 to 180 degrees, how far the centre moves if the edge on that side is left out,
-less how far it moves back if the other side is, px; what was fitted: 0 the shape at rest,
-`OWN_SHAPE` or `PART_IN_SIGHT`; 1 where the fit, the edge or the size is not as usual, else 0; by
-how much the outline differs from its neighbours', unexplained, px; how far the centre would move
-were the slope of brightness fitted too, the variance of that by the noise, and by how much the
-slope would change, 1/px. Two, the light and
-the moves of one side, are 0 and NaN where the edge is not looked at."""
+"""Columns of what `Templates.fit` gives, a row a marker.
+
+- ``CENTRE``, ``LEVEL``, ``GROUND``, ``SCALE``: what is fitted; the scale is against the template.
+- ``VARIANCE``: of the centre, by the noise, px^2. ``STEP``: the fit's last step, px.
+- ``SQUARES``, ``PIXELS``: sum of squared residuals over how many pixels. ``MISFIT``: squared
+  residuals over their expected size.
+- ``EDGE``: share of the edge in sight. ``FITTING``: share of that which fits.
+- ``THIRD``: how far the edge lies outside the model's, as the cosine and sine of three times the
+  angle, px.
+- ``SHORTFALL``: the most light that a pixel on the marker lacks, or one beyond its edge has too
+  much, as a share of the marker's; 0 where the edge is not looked at.
+- ``ONE_SIDED`` and on, along `DIRECTIONS` from 0 to 180 degrees: how far the centre moves if the
+  edge on that side is left out, less how far it moves back if the other side is, px; NaN where the
+  edge is not looked at.
+- ``RESHAPED``: what was fitted; 0 the shape at rest, `OWN_SHAPE` or `PART_IN_SIGHT`.
+- ``DOUBTED``: 1 where the fit, the edge or the size is not as usual, else 0.
+- ``DIFFERENCE``: by how much the outline differs from its neighbours', unexplained, px.
+- ``TILTED``: how far the centre would move were the marker's slope of brightness fitted too, px.
+  ``VAR_TILTED``: the variance of that by the noise. ``SLOPES``: by how much the slope would change,
+  1/px.
+"""
 
 OWN_SHAPE, PART_IN_SIGHT = 1.0, 2.0
 """A marker fitted with an outline and blur of its own; by the part of it that is in sight."""
@@ -630,16 +638,15 @@ class Templates:
     ground
         (n,) ground around every marker at rest, counts.
     ground_slopes
-        (2, 6) slope of its brightness along x and y, counts per px, by the terms of ``slopes``.
+        (2, 6) slope of its brightness along x and y, counts per px, by `slope_terms`.
     noise
         (n, 2) variance of the ground's noise and of a full marker's, counts squared.
     gain
         By how much pictures change with the place more than their model does: a step of the
         model's slopes alone goes so many times too far.
     slopes
-        (2, 6) relative slope of brightness along x and y that markers share, by the terms 1, u, v,
-        u^2, u v, v^2 of the place in the picture; u, v from -1/2 to 1/2 across it. A template's
-        own slope comes on top.
+        (2, 6) slope of brightness along x and y, 1/px, that the light gives to a marker anywhere in
+        the picture, by `slope_terms`. A template's own slope comes on top.
     usual_misfit
         Squared residuals of a good fit at rest over what the noise explains: what the model lacks
         for every marker.
