@@ -199,6 +199,16 @@ def test_what_is_not_defined_has_its_reason_and_round_off_is_zero() -> None:
     assert "off by 0 %" in by_key["elastic.force_error"].sentence
 
 
+def test_large_strain_is_left_out_only_by_the_linear_law() -> None:
+    score = {"elastic": {"linearisation_error": 0.03}}
+    left_out, included = (
+        found(score, f'[material]\nlaw = "{law}"\n')["elastic.linearisation_error"] for law in ("linear", "yeoh")
+    )
+    assert (left_out.verdict, included.verdict) == ("fair", "")
+    assert "leaves out" in left_out.sentence
+    assert "which is included" in included.sentence
+
+
 def test_one_layer_explains_an_uncertain_push_only_where_it_is_the_cause() -> None:
     assert "one layer" in found(SCORE, ONE_LAYER)["force.total_force_error"].sentence
     assert "one layer" not in found(SCORE, ONE_LAYER + "[markers.deep]\n")["force.total_force_error"].sentence

@@ -125,6 +125,7 @@ def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
     have the reason as their sentence.
     """
     reasons = score.get("reasons") or {}
+    large_strain = _table(scene_toml, "material").get("law", "linear") != "linear"
     found = []
     for key, sentence in _SENTENCES.items():
         stage, name = key.split(".")
@@ -144,6 +145,10 @@ def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
         amount, unit = _amount(key, value)
         text = sentence.format(amount)
         verdict = _verdict(key, value)
+        if key == "elastic.linearisation_error" and large_strain:
+            text = f"Large strain, which is included, moves the markers by {amount} of the largest "
+            text += "displacement more or less than linear theory."
+            verdict = ""
         if key == "force.total_force_error" and verdict != "good":
             text = f"{text} {one_layer(scene_toml)}".rstrip()
         found.append(_Finding(key=key, value=value, unit=unit, sentence=text, verdict=verdict))
@@ -153,14 +158,9 @@ def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
 def one_layer(scene_toml: str) -> str:
     """Return why the force into the surface is uncertain where a scene has one layer of markers in
     nearly incompressible rubber; empty for any other."""
-    try:
-        scene = tomllib.loads(scene_toml)
-    except tomllib.TOMLDecodeError:
-        return ""
-    layers = scene.get("markers")
-    material = scene.get("material")
-    ratio = material.get("poisson_ratio") if isinstance(material, Mapping) else None
-    if not isinstance(layers, Mapping) or not isinstance(ratio, int | float):
+    layers = _table(scene_toml, "markers")
+    ratio = _table(scene_toml, "material").get("poisson_ratio")
+    if not isinstance(ratio, int | float):
         return ""
     if len(layers) != 1 or ratio < NEARLY_INCOMPRESSIBLE:
         return ""
@@ -170,6 +170,15 @@ def one_layer(scene_toml: str) -> str:
         "sideways motion only. So the force into the surface is uncertain; a second layer at "
         "another depth, or bounds, help (docs/one_layer.md)."
     )
+
+
+def _table(scene_toml: str, name: str) -> Mapping[str, Any]:
+    """Return a table of a scene; empty where there is none."""
+    try:
+        table = tomllib.loads(scene_toml).get(name)
+    except tomllib.TOMLDecodeError:
+        return {}
+    return table if isinstance(table, Mapping) else {}
 
 
 def _limit_key(key: str) -> str:
