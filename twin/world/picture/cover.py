@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from twin.arrays import Bools, Floats, Ints, Pixels, Points, Singles
 from twin.parts.body import Body
@@ -33,6 +34,9 @@ from twin.world.picture.lamps import Lamps
 
 _STEP_PX = 16
 """Distance between the rays of the grid."""
+
+_HALVINGS = 6
+"""Of the way to the body's edge between two of them: to a third of a pixel."""
 
 _CELLS = 400
 """Cells along and across what the camera sees of a probe, as triangles."""
@@ -104,6 +108,7 @@ class Background:
         if scene.cover is not None:
             depth = scene.cover.thickness_mm
             points, normals = _places_at(origins, directions, scene.body, depth)
+            self._draw_to_edge(nodes, points, normals, depth)
         self.deforms = scene.cover is not None and scene.cover.deforms
         """Whether pictures show how a press moves the cover."""
         self._met = np.isfinite(points[:, 0])
@@ -112,6 +117,28 @@ class Background:
         """(m, 3) inward normals there."""
         self.points: Points = points[self._met]
         """(m, 3) places on the cover's inner side at rest, mm."""
+
+    def _draw_to_edge(
+        self, nodes: Pixels, points: Points, normals: Floats, depth_mm: float
+    ) -> None:
+        """Give nodes that just miss the cover the last place met towards their nearest neighbour
+        that doesn't: triangles then end at the body's edge, not up to a step before it."""
+        met = np.isfinite(points[:, 0]).reshape(len(self._rows), len(self._columns))
+        if met.all() or not met.any():
+            return
+        steps, nearest = distance_transform_edt(~met, return_indices=True)
+        late = np.flatnonzero((steps > 0) & (steps < 2))
+        known = np.ravel_multi_index(tuple(nearest), met.shape).ravel()[late]
+        inside, outside = nodes[known], nodes[late]
+        points[late], normals[late] = points[known], normals[known]
+        for _ in range(_HALVINGS):
+            middle = (inside + outside) / 2
+            found, turned = _places_at(
+                *rays(middle, *self._scene.optics), self._scene.body, depth_mm
+            )
+            there = np.isfinite(found[:, 0])
+            points[late[there]], normals[late[there]] = found[there], turned[there]
+            inside[there], outside[~there] = middle[there], middle[~there]
 
     @staticmethod
     def moves(scene: Scene) -> bool:
