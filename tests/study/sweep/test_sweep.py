@@ -143,6 +143,7 @@ def test_the_best_designs_are_scenes_and_the_page_has_no_outside(finished: Path)
     assert "Make design " in page
     assert "(asked: " in page
     assert "depth of blue (mm)" in page
+    assert "error of the total force (%)" in page
     assert "two_point_mm" not in page.split("<details>")[0], "no key stands in a sentence"
 
 

@@ -179,8 +179,8 @@ FRONTS = (
     ("total_force_error", "frame_ms"),
 )
 NAMES = {
-    "total_force_error": "error of the total force (share)",
-    "total_force_bias": "force error without noise (share)",
+    "total_force_error": "error of the total force (%)",
+    "total_force_bias": "force error without noise (%)",
     "resolution_gf": "noise of the total force (gf)",
     "range_n": "largest force, more is better (N)",
     "frame_ms": "software's time a picture (ms)",
@@ -271,13 +271,18 @@ def _verdict(done: Swept) -> str:
 
 def _as_asked(name: str, value: float, target: float) -> str:
     """Return a metric and its target in words."""
-    head, unit, scale = _named(name), "", 1
+    head, unit, scale = _named(name), "", _scale(name)
     if name in FIGURES:
         head, _, scale = FIGURES[name]
     head, _, unit = head.rstrip(")").partition(" (")
     return f"{head} {scale * value:.3g} {unit} (asked: {scale * target:g} {unit})".replace(
         " )", ")"
     )
+
+
+def _scale(name: str) -> int:
+    """Return what a metric is multiplied by to have the unit of its name."""
+    return 100 if _named(name).endswith("(%)") else 1
 
 
 def _named(name: str) -> str:
@@ -305,12 +310,13 @@ def _fronts(done: Swept) -> list[str]:
         x, y = done.metric(x_name, "linear"), done.metric(y_name, "linear")
         if x is None or y is None:
             continue
-        x, y = np.where(ok, x, np.nan), np.where(ok, y, np.nan)
+        across, up = _scale(x_name), _scale(y_name)
+        x, y = np.where(ok, across * x, np.nan), np.where(ok, up * y, np.nan)
         known = np.isfinite(x) & np.isfinite(y)
         if known.sum() < 2 or min(np.ptp(v[known]) for v in (x, y)) == 0:
             continue
         on_front = done.front([x, -y if y_name in MORE else y])[known]
-        target = (targets.get(x_name, np.nan), targets.get(y_name, np.nan))
+        target = (across * targets.get(x_name, np.nan), up * targets.get(y_name, np.nan))
         names = (_named(x_name), _named(y_name))
         fronts.append(_front(names, x[known], y[known], on_front, target))
     return fronts
@@ -348,7 +354,8 @@ def _front(
             content += axes.line(np.array(level if k else upright), "contact")
     svg = axes.drawing(content, *names, f"{names[1]} against {names[0]} of all designs")
     caption = (
-        "Each dot is a design; no other is better in both than those on the line. The worst "
+        "Each dot is a design, without pictures; no other is better in both than those on the "
+        "line. The worst "
         f"twentieth lies outside. {_said(names, target, targets)}"
     )
     return figure(svg, caption)
