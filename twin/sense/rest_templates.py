@@ -399,7 +399,7 @@ def in_other_light(
     changed over the picture since rest; None where no more than by chance.
 
     Other light shows twice: the markers' levels have changed smoothly over the picture, and the
-    brightness across each marker has the same slope. Both are asked for, as slopes alone are
+    brightness across each marker has the same slope. Both are needed, as slopes alone are
     feigned where all markers lie alike on the pixels. ``fitted``
     (n, `COLUMNS`) are the fits without; ``evenly`` (n, 3) a constant and two slopes over the
     picture, orthonormal over the markers.
