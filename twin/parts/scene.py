@@ -209,8 +209,9 @@ class Scene(Part):
         @property
         def scale_error(self) -> float:
             """Standard deviation of a factor on all forces read by the design, over 1."""
-            made = self.preset == "standard"
-            return made * math.hypot(self.youngs_modulus_pct, self.focal_pct) / 100
+            if self.preset == "none":
+                return 0.0
+            return math.hypot(self.youngs_modulus_pct, self.focal_pct) / 100
 
     class Tracking(Part):
         """How marker centres are measured.

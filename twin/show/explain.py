@@ -137,9 +137,10 @@ def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
             reason = reasons.get(key)
             if reason is not None:
                 none = f"not defined, as {reason}"
-                said = f"{name.removesuffix('_mm').replace('_', ' ')}: {none}."
                 if sentence.endswith(": {}."):
                     said = sentence.format(none)
+                else:
+                    said = f"{name.removesuffix('_mm').replace('_', ' ')}: {none}."
                 found.append(_Finding(key=key, value=None, unit="", sentence=said, verdict=""))
             continue
         amount, unit = _amount(key, value)

@@ -273,11 +273,9 @@ SHARED_NOISE = 0.25
 MOVED = 5.0
 """Standard errors of the mean motion above which the sensor, or the camera, has moved."""
 
-TOUCHED = 8.0
-"""Standard deviations of a shift from which a marker has moved against the others, .."""
-
-TOUCHED_MARKERS = 3
-""".. and how many of them are no accident of dust or glint."""
+TOUCHED, TOUCHED_MARKERS = 8.0, 3
+"""Standard deviations of a shift from which a marker has moved against the others, and how many
+such markers are no accident of dust or glint."""
 
 
 def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:

@@ -516,9 +516,13 @@ class _Summary:
     """
 
     def __init__(self, scale_error: float, in_time: bool) -> None:
-        causes = [f"the calibration's factor ({100 * scale_error:.2g} %)"] * (scale_error > 0)
-        causes += ["rubber that relaxes between frames"] * in_time
-        self.causes = ", ".join(["of the markers' noise", *causes]) + " alone" * (not causes)
+        self.causes = "of the markers' noise"
+        if scale_error > 0:
+            self.causes += f", the calibration's factor ({100 * scale_error:.2g} %)"
+        if in_time:
+            self.causes += ", rubber that relaxes between frames"
+        if scale_error == 0 and not in_time:
+            self.causes += " alone"
         self.count, self.failed = 0, 0
         self.first = ""
         self._doubted = 0

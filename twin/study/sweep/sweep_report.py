@@ -64,22 +64,20 @@ def _assumed(part: Any, origin: str) -> Any:
 
 
 FIGURES = {
-    "two_point_mm": ("two points (mm)", "least distance at which two pushes show as two peaks", 1),
-    "fwhm_mm": ("width (mm)", "of the field of the push in the middle, at half its height", 1),
-    "total_force_error": ("force error (%)", "of the total force, root mean square", 100),
+    "two_point_mm": ("two points (mm)", "least distance at which two pushes show as two peaks"),
+    "fwhm_mm": ("width (mm)", "of the field of the push in the middle, at half its height"),
+    "total_force_error": ("force error (%)", "of the total force, root mean square"),
     "resolution_gf": (
         "force noise (gf)",
         "standard deviation of the total force by noise; 1 gf is 9.81 mN",
-        1,
     ),
     "dip": (
         "dip (%)",
         "how far the force falls between two pushes {pair:g} mm apart: 0 is one "
         "peak, 100 or more is two apart",
-        100,
     ),
 }
-"""Head, meaning and scale of a best design's figures."""
+"""Head and meaning of a best design's figures."""
 
 
 def _best_records(done: Swept) -> list[dict[str, Any]]:
@@ -100,8 +98,8 @@ def _shown(record: Mapping[str, Any], axes: Collection[str]) -> dict[str, str]:
     cells = {}
     for key, value in record.items():
         if key in FIGURES:
-            head, _, scale = FIGURES[key]
-            cells[head] = _short(float(scale * value))
+            head, _ = FIGURES[key]
+            cells[head] = _short(float(_scale(head) * value))
         else:
             cells[_axis_name(key) if key in axes else key] = _short(value)
     return cells
@@ -212,7 +210,7 @@ def write_report(done: Swept, folder: Path) -> tuple[list[str], list[dict[str, A
     pair = done.designs.sweep.loads.pair_mm
     meanings = [
         f"{head.rpartition(' ')[0]}: {meaning.format(pair=pair)}"
-        for head, meaning, _ in FIGURES.values()
+        for head, meaning in FIGURES.values()
         if head in heads
     ]
     if rows:
@@ -271,18 +269,17 @@ def _verdict(done: Swept) -> str:
 
 def _as_asked(name: str, value: float, target: float) -> str:
     """Return a metric and its target in words."""
-    head, unit, scale = _named(name), "", _scale(name)
-    if name in FIGURES:
-        head, _, scale = FIGURES[name]
+    head = FIGURES[name][0] if name in FIGURES else _named(name)
+    scale = _scale(head)
     head, _, unit = head.rstrip(")").partition(" (")
     return f"{head} {scale * value:.3g} {unit} (asked: {scale * target:g} {unit})".replace(
         " )", ")"
     )
 
 
-def _scale(name: str) -> int:
-    """Return what a metric is multiplied by to have the unit of its name."""
-    return 100 if _named(name).endswith("(%)") else 1
+def _scale(head: str) -> int:
+    """Return what a metric is multiplied by to have the unit that its head ends with."""
+    return 100 if head.endswith("(%)") else 1
 
 
 def _named(name: str) -> str:
@@ -310,14 +307,14 @@ def _fronts(done: Swept) -> list[str]:
         x, y = done.metric(x_name, "linear"), done.metric(y_name, "linear")
         if x is None or y is None:
             continue
-        across, up = _scale(x_name), _scale(y_name)
+        names = (_named(x_name), _named(y_name))
+        across, up = map(_scale, names)
         x, y = np.where(ok, across * x, np.nan), np.where(ok, up * y, np.nan)
         known = np.isfinite(x) & np.isfinite(y)
         if known.sum() < 2 or min(np.ptp(v[known]) for v in (x, y)) == 0:
             continue
         on_front = done.front([x, -y if y_name in MORE else y])[known]
         target = (across * targets.get(x_name, np.nan), up * targets.get(y_name, np.nan))
-        names = (_named(x_name), _named(y_name))
         fronts.append(_front(names, x[known], y[known], on_front, target))
     return fronts
 
