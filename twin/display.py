@@ -35,11 +35,12 @@ def one_line(name: str, facts: Sequence[str]) -> str:
     return f"{name}({', '.join(fact for fact in facts if fact)})"
 
 
-def vector(values: Floats, unit: str) -> str:
-    """Return a vector to three digits: ``(0, 0, 1.25) N``; round-off of the largest is 0."""
+def vector(values: Floats, unit: str, sd: Floats | None = None) -> str:
+    """Return a vector to three digits, with its standard deviations: ``(0, 0, 1.25) N``; round-off
+    of the largest is 0."""
     size = float(np.abs(values).max(initial=0.0))
     shown = ", ".join(f"{v:.3g}" if abs(v) > 1e-9 * size else "0" for v in values)
-    return f"({shown}) {unit}"
+    return f"({shown}) {unit}" if sd is None else f"({shown}) +- {vector(sd, unit)}"
 
 
 def html_table(title: str, rows: Mapping[str, str], picture: str = "") -> str:
@@ -88,10 +89,15 @@ class Table:
         return pandas.DataFrame(self.columns())
 
     @staticmethod
-    def of_sites(site_mm: Points, force_n: Floats) -> dict[str, Any]:
-        """Return the columns of a force field by name: (k,) places, mm, and forces, N."""
-        places = {f"{axis}_mm": site_mm[:, number] for number, axis in enumerate("xyz")}
-        return places | {f"f{axis}_n": force_n[:, number] for number, axis in enumerate("xyz")}
+    def of_sites(site_mm: Points, force_n: Floats, sd_force_n: Floats) -> dict[str, Any]:
+        """Return the columns of a force field by name: (k,) places, mm, forces and their standard
+        deviations, N."""
+        parts = {"{}_mm": site_mm, "f{}_n": force_n, "sd_f{}_n": sd_force_n}
+        return {
+            name.format(axis): part[:, number]
+            for name, part in parts.items()
+            for number, axis in enumerate("xyz")
+        }
 
 
 def new_axes(count: int, ax: Any = None) -> Any:

@@ -108,6 +108,8 @@ class Estimate(Table):
     total_force_n, total_torque_nmm
         (3,) resultants of the linear solve, N and N mm about the origin; empty if no forces were
         wanted.
+    sd_force_n, sd_total_n, sd_torque_nmm
+        Stated standard deviations of these three, of their shapes and units.
     """
 
     _title: ClassVar[str] = "What the sensor's software found"
@@ -120,6 +122,9 @@ class Estimate(Table):
     force_n: Floats
     total_force_n: Floats
     total_torque_nmm: Floats
+    sd_force_n: Floats
+    sd_total_n: Floats
+    sd_torque_nmm: Floats
 
     def __repr__(self) -> str:
         return one_line("Estimate", [f"{name} {value}" for name, value in self._rows().items()])
@@ -129,12 +134,12 @@ class Estimate(Table):
         rows = {"markers": f"{seen} of {len(self.marker_shift_px)} seen"}
         if len(self.site_mm):
             rows["sites"] = str(len(self.site_mm))
-            rows["total force"] = vector(self.total_force_n, "N")
+            rows["total force"] = vector(self.total_force_n, "N", self.sd_total_n)
         return rows
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return a row for every site: place, mm, and force, N."""
-        return self.of_sites(self.site_mm, self.force_n)
+        """Return a row for every site: place, mm, force, N, and its standard deviation, N."""
+        return self.of_sites(self.site_mm, self.force_n, self.sd_force_n)
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the recovered forces on matplotlib axes, and return these."""
@@ -263,7 +268,10 @@ class RunResult:
         """Return the errors of total force, centre and field that are defined."""
         lines = []
         if force["total_force_error"] is not None:
-            lines.append(f"total force {_share(force['total_force_error'], 1)} off")
+            lines.append(
+                f"total force {_share(force['total_force_error'], 1)} off, "
+                f"{_share(force['total_force_stated'], 1)} stated"
+            )
             if self.estimate is not None and len(self.estimate.force_n):
                 sites = self.estimate.force_n.sum(axis=0)
                 total = self.estimate.total_force_n
@@ -276,7 +284,10 @@ class RunResult:
         if force["centre_error_mm"] is not None:
             lines.append(f"centre      {force['centre_error_mm']:.3g} mm off")
         if force["field_error"] is not None:
-            lines.append(f"force field {_share(force['field_error'], 0)} off")
+            lines.append(
+                f"force field {_share(force['field_error'], 0)} off, "
+                f"{_share(force['field_stated'], 0)} stated"
+            )
         return lines
 
     def plot(self) -> Any:

@@ -22,6 +22,7 @@ def pushes(**changes):
         "site_mm": site, "force_n": cells, "total_force_n": cells.sum(axis=0),
         "total_torque_nmm": np.cross(surface, force).sum(axis=0), "surface_mm": surface, "surface_force_n": force,
         "true_force_n": force.sum(axis=0), "true_torque_nmm": np.cross(surface, force).sum(axis=0),
+        "sd_force_n": 0.1 * np.abs(cells), "sd_total_n": np.array([0.03, 0.0, 0.04]), "sd_torque_nmm": np.full(3, 0.2),
     }  # fmt: skip
     return given | changes
 
@@ -53,6 +54,9 @@ def test_errors_as_defined():
     force = given["force_n"]
     result = scored(force_n=1.1 * force)
     assert result["field_error"] == pytest.approx(0.1)
+    assert result["field_stated"] == pytest.approx(0.1), "every site states a tenth of its true force"
+    assert result["total_force_stated"] == pytest.approx(0.05 / np.linalg.norm(given["true_force_n"]))
+    assert result["torque_stated_nmm"] == pytest.approx(0.2 * 3**0.5)
     total = given["true_force_n"] + [0.0, 0.3, 0.0]
     result = scored(total_force_n=total)
     assert result["total_force_error"] == pytest.approx(0.3 / np.linalg.norm(given["true_force_n"]))

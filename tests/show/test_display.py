@@ -47,6 +47,9 @@ def run_result(*, forces: bool = True) -> RunResult:
         force_n=force if forces else np.zeros((0, 3)),
         total_force_n=total,
         total_torque_nmm=np.zeros(3),
+        sd_force_n=0.1 + 0.0 * force if forces else np.zeros((0, 3)),
+        sd_total_n=np.array([0.01, 0.01, 0.04]),
+        sd_torque_nmm=np.zeros(3),
     )
     score = {"tracking": {"sd_px": 0.0123}, "force": {"total_force_error": 0.021, "centre_error_mm": None}}
     return RunResult(scene_toml="", truth=truth, estimate=estimate, score=score)
@@ -62,7 +65,8 @@ def in_notebook(result) -> str:
 def test_a_result_says_in_a_line_what_it_came_to() -> None:
     result = run_result()
     assert repr(result) == "RunResult(true force (0, 0, 2) N, marker noise 0.012 px, total force error 2.1 %)"
-    assert repr(result.estimate) == "Estimate(markers 8 of 9 seen, sites 9, total force (0, 0, 2) N)"
+    total = "(0, 0, 2) +- (0.01, 0.01, 0.04) N"
+    assert repr(result.estimate) == f"Estimate(markers 8 of 9 seen, sites 9, total force {total})"
     assert repr(result.truth) == "Truth(markers 9, pieces pressed 2, total force (0, 0, 2) N)"
     for part in (result.truth, result.estimate):
         assert "total force" in in_notebook(part)

@@ -81,6 +81,8 @@ def full() -> RunResult:
         marker_rest_px=rest_px, marker_shift_px=shift, site_mm=sites, force_n=force,
         marker_sd_px=np.full(len(shift), 0.015), marker_state=np.where(np.isnan(shift[:, 0]), "missing", "seen"),
         total_force_n=total * 1.013, total_torque_nmm=np.array([-6.2, -8.1, 1.5]),
+        sd_force_n=np.full(sites.shape, 0.02), sd_total_n=np.array([0.011, 0.012, 0.023]),
+        sd_torque_nmm=np.full(3, 0.15),
     )  # fmt: skip
     return RunResult(
         scene_toml=SCENE, truth=truth, estimate=estimate, rest=camera_picture(rng, rest_px, layer),

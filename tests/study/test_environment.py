@@ -83,6 +83,8 @@ def test_it_agrees_with_a_run_of_the_same_press() -> None:
     seen = environment.step(scene.press)
     np.testing.assert_allclose(seen.truth.marker_displacement_mm, result.truth.marker_displacement_mm, atol=1e-3 * 0.2)
     np.testing.assert_allclose(seen.total_force_n, result.estimate.total_force_n, atol=0.02)
+    np.testing.assert_allclose(seen.sd_total_n, result.estimate.sd_total_n, rtol=0.2)
+    assert (seen.sd_total_n > 1e-4).all()
 
 
 def test_under_no_load_it_feels_noise_alone(environment: twin.Environment) -> None:

@@ -68,7 +68,8 @@ def seen() -> Observation:
     return Observation(
         picture=np.arange(36, dtype=np.uint8).reshape(3, 4, 3), marker_shift_px=np.zeros((1, 2)), site_mm=site,
         force_n=np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]), total_force_n=np.array([0.5, 0.7, 0.9]),
-        total_torque_nmm=np.array([10.0, 20.0, -30.0]), truth=truth, error={}, exposure=1,
+        total_torque_nmm=np.array([10.0, 20.0, -30.0]), sd_force_n=np.zeros((2, 3)), sd_total_n=np.zeros(3),
+        sd_torque_nmm=np.zeros(3), truth=truth, error={}, exposure=1,
     )  # fmt: skip
 
 

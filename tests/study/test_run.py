@@ -172,7 +172,14 @@ def test_shipped_calibrations_are_of_the_scenes_that_name_them(name: str, monkey
 
 
 TRACKING = {"sd_px": 0.01, "matched": 1.0, "markers": 200}
-FORCE = {"total_force_error": 0.055, "sites_force_error": 0.2, "centre_error_mm": 0.0315, "field_error": 0.44}
+FORCE = {
+    "total_force_error": 0.055,
+    "total_force_stated": 0.061,
+    "sites_force_error": 0.2,
+    "centre_error_mm": 0.0315,
+    "field_error": 0.44,
+    "field_stated": 0.51,
+}
 
 
 def summary_of(sites: list[float]) -> str:
@@ -186,6 +193,9 @@ def summary_of(sites: list[float]) -> str:
         force_n=force,
         total_force_n=np.array([0.0, 0.0, -0.045]),
         total_torque_nmm=np.zeros(3),
+        sd_force_n=np.zeros_like(force),
+        sd_total_n=np.zeros(3),
+        sd_torque_nmm=np.zeros(3),
     )
     score = {"tracking": TRACKING, "force": FORCE}
     return RunResult(scene_toml="", estimate=estimate, score=score, timings={"tracking": 1.0}).summary()
@@ -193,7 +203,7 @@ def summary_of(sites: list[float]) -> str:
 
 def test_total_centre_and_field_are_printed() -> None:
     text = summary_of([0.005, -0.05])
-    for figure in ("5.5 % off", "0.0315 mm off", "44 % off"):
+    for figure in ("5.5 % off, 6.1 % stated", "0.0315 mm off", "44 % off, 51 % stated"):
         assert figure in text
     assert "sites' sum" not in text, "without bounds it is the total"
     assert "warning" not in text

@@ -187,6 +187,12 @@ class _Forces(_Totals, Protocol):
 
     @property
     def site_mm(self) -> Points: ...
+    @property
+    def sd_force_n(self) -> Floats: ...
+    @property
+    def sd_total_n(self) -> Floats: ...
+    @property
+    def sd_torque_nmm(self) -> Floats: ...
 
 
 class _Patches(_Totals, Protocol):
@@ -202,7 +208,8 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
     Parameters
     ----------
     field
-        Estimate: (k, 3) sites, mm, their forces, N, and its (3,) totals, N and N mm.
+        Estimate: (k, 3) sites, mm, their forces, N, and its (3,) totals, N and N mm, with the
+        standard deviations that it states of them.
     patches
         Truth: (m, 3) surface points, mm, their forces, N, and the (3,) totals.
     frames
@@ -218,18 +225,23 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
         sites' forces, which is not F^ where they are held to bounds; ``torque_error`` |T^ - T| /
         max(|T|, |F| 1 mm) and ``torque_error_nmm`` |T^ - T|; ``centre_error_mm``, the distance in
         (x, y) of the push's centres, sum fz (x, y)/sum fz (of the estimate only the sites above a
-        fifth of the largest push). ``reasons``.
+        fifth of the largest push). ``field_stated``, ``total_force_stated`` and
+        ``torque_stated_nmm``: what the estimate states of the errors of these names, the root of
+        the sum of its variances, of the first two over |f| and |F|. ``reasons``.
     """
     result: Score = dict.fromkeys(
         (
             "field_error",
+            "field_stated",
             "field_error_normal",
             "field_error_tangential",
             "total_force_error",
+            "total_force_stated",
             "total_force_error_axes",
             "sites_force_error",
             "torque_error",
             "torque_error_nmm",
+            "torque_stated_nmm",
             "centre_error_mm",
         )
     )
@@ -260,6 +272,17 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
                 if part == "all"
                 else f"less than {LEAST_PART:.0%} of the true field is in its {part} part"
             )
+    # What the estimate states of its errors.
+    stated = {
+        "field_stated": (field.sd_force_n, float(np.linalg.norm(cells))),
+        "total_force_stated": (field.sd_total_n, size),
+        "torque_stated_nmm": (field.sd_torque_nmm, 1.0),
+    }
+    for key, (sd, whole) in stated.items():
+        if whole > 0:
+            result[key] = float(np.linalg.norm(sd) / whole)
+        else:
+            reasons[key] = "the true force is zero"
     # Error of the total force, from the linear solve and from the sum over the sites.
     if size > 0:
         result["total_force_error"] = float(np.linalg.norm(total_force_n - force) / size)

@@ -125,9 +125,8 @@ class Field(Table):
 
     def _rows(self) -> dict[str, str]:
         largest = float(np.abs(self.force_n[:, 2]).max(initial=0.0))
-        total, sd = vector(self.total_force_n, "N"), vector(self.sd_total_n, "N")
         return {
-            "total force": f"{total} +- {sd}",
+            "total force": vector(self.total_force_n, "N", self.sd_total_n),
             "sites": str(len(self.site_mm)),
             "largest along z": f"{largest:.3g} N",
             "markers used": str(int(self.used.sum())),
@@ -136,9 +135,7 @@ class Field(Table):
 
     def columns(self) -> dict[str, Floats]:
         """Return a row for every site: place, mm, force, N, and its standard deviation, N."""
-        names = [f"sd_f{axis}_n" for axis in "xyz"]
-        spread = dict(zip(names, self.sd_force_n.T, strict=True))
-        return self.of_sites(self.site_mm, self.force_n) | spread
+        return self.of_sites(self.site_mm, self.force_n, self.sd_force_n)
 
     def relaxed(self, history: Hereditary, seconds: float) -> Field:
         """Return the field with the forces of rubber that relaxes.

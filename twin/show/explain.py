@@ -57,6 +57,8 @@ _SENTENCES = {
     "tracking.gross": "{} markers were taken for another one, or are more than 1 px off.",
     "tracking.false_positives": "{} markers that are not in the picture were given a motion.",
     "force.total_force_error": "The recovered total force is off by {} of the true one.",
+    "force.total_force_stated": "The software itself states an error of {} (one standard "
+    "deviation).",
     "force.sites_force_error": "The sum of the forces of all sites is off by {}; it differs from "
     "the total where sites are left out or held to bounds.",
     "force.torque_error": "The recovered torque about the origin is off by {}.",

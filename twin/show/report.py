@@ -94,6 +94,7 @@ _NAMES = {
         "field error",
         "length of the difference over length of the truth, by site cell",
     ),
+    "force.field_stated": ("field error, stated", "what the software states of it"),
     "force.field_error_normal": (
         "field error, normal",
         "the same of the forces along the inward normals",
@@ -107,6 +108,7 @@ _NAMES = {
         "x, y and z, over the size of the resultant",
     ),
     "force.total_force_error": ("total force error", "of the resultant, over its size"),
+    "force.total_force_stated": ("total force error, stated", "what the software states of it"),
     "force.sites_force_error": (
         "error of the sites' sum",
         "of the sum of the sites' forces; it is not the resultant where they may only push or "
@@ -118,6 +120,7 @@ _NAMES = {
         "larger",
     ),
     "force.torque_error_nmm": ("torque error", "of the torque about the origin"),
+    "force.torque_stated_nmm": ("torque error, stated", "what the software states of it"),
     "force.centre_error_mm": (
         "centre error",
         "distance between true and estimated centre of force",
@@ -797,6 +800,7 @@ def _resultants(result: RunResult) -> str:
             totals.append((name, arrays.total_force_n, arrays.total_torque_nmm))
     estimate = result.estimate
     if estimate is not None and len(estimate.force_n) and len(estimate.total_force_n) == 3:
+        totals.append(("standard deviation", estimate.sd_total_n, estimate.sd_torque_nmm))
         total = estimate.force_n.sum(axis=0)
         if not np.allclose(total, estimate.total_force_n, rtol=1e-6, atol=1e-9):
             torque = np.cross(estimate.site_mm, estimate.force_n).sum(axis=0)

@@ -60,6 +60,8 @@ class Observation:
         (k, 3) sites and the force recovered at each, mm and N.
     total_force_n, total_torque_nmm
         (3,) recovered resultants, N and N mm about the origin.
+    sd_force_n, sd_total_n, sd_torque_nmm
+        Stated standard deviations of these three, of their shapes and units.
     truth
         What really happened: ``marker_displacement_mm`` (n, 3), mm, with its estimated
         ``displacement_error`` (the largest over the largest displacement); ``marker_shift_px`` (n,
@@ -90,6 +92,9 @@ class Observation:
     force_n: Floats
     total_force_n: Floats
     total_torque_nmm: Floats
+    sd_force_n: Floats
+    sd_total_n: Floats
+    sd_torque_nmm: Floats
     truth: _Happened
     error: dict[str, float | None]
     exposure: int
@@ -299,6 +304,9 @@ class Environment:
             force_n=field.force_n,
             total_force_n=field.total_force_n,
             total_torque_nmm=field.total_torque_nmm,
+            sd_force_n=field.sd_force_n,
+            sd_total_n=field.sd_total_n,
+            sd_torque_nmm=field.sd_torque_nmm,
             truth=truth,
             error=error,
             exposure=self._exposure,

@@ -472,15 +472,15 @@ def _with_outlines(sensor: Sensor, truth: Truth, motion: Motion) -> Truth:
 def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
     if found is None:
         return None
+    by_site = ("site_mm", "force_n", "sd_force_n")
+    totals = ("total_force_n", "total_torque_nmm", "sd_total_n", "sd_torque_nmm")
     return Estimate(
         marker_rest_px=found.rest_px,
         marker_shift_px=found.shift_px,
         marker_sd_px=found.sd_px,
         marker_state=found.states,
-        site_mm=getattr(forces, "site_mm", np.zeros((0, 3))),
-        force_n=getattr(forces, "force_n", np.zeros((0, 3))),
-        total_force_n=getattr(forces, "total_force_n", np.zeros(0)),
-        total_torque_nmm=getattr(forces, "total_torque_nmm", np.zeros(0)),
+        **{name: getattr(forces, name, np.zeros((0, 3))) for name in by_site},
+        **{name: getattr(forces, name, np.zeros(0)) for name in totals},
     )
 
 
