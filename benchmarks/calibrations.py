@@ -34,7 +34,7 @@ from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
 from twin.theory.contact import hertz
-from twin.theory.optics import project, project_with_jacobian
+from twin.theory.optics import project_with_jacobian
 from twin.world.elasticity.coated import CoveredCompliance
 from twin.world.elasticity.fem import TaylorHood
 
@@ -57,9 +57,9 @@ def design() -> Scene:
     return load_scene("sato_press", overrides={"tolerance.distortion": 0.01, "calibration.method": "compliance"})
 
 
-def sensors(scene: Scene, count: int = SENSORS) -> list[Any]:
+def sensors(scene: Scene, count: int = SENSORS) -> list[Sensor]:
     """Return made sensors."""
-    return [Sensor(scene.model_copy(update={"seed": 100 + number})).actual for number in range(count)]
+    return [Sensor(scene.model_copy(update={"seed": 100 + number})) for number in range(count)]
 
 
 @dataclass(frozen=True)
@@ -73,15 +73,15 @@ class Measured:
 class Truth:
     """Loads on all sensors, each solved once."""
 
-    def __init__(self, scene: Scene, made: list[Any], covered: bool) -> None:
+    def __init__(self, scene: Scene, made: list[Sensor], covered: bool) -> None:
         self.scene, self.made, self.covered = scene, made, covered
         material = scene.material.model_copy(update={"poisson_ratio": NU})
-        plain = scene.model_copy(
-            update={"material": material, "tolerance": scene.tolerance.model_copy(update={"preset": "none"})}
-        )
-        self.sensor = Sensor(plain)
-        self.points = np.concatenate([one.markers.points for one in made])
-        self.rest_px = np.stack([self._project(one, one.markers.points) for one in made])
+        tolerance = scene.tolerance.model_copy(update={"preset": "none"})
+        self.sensor = Sensor(scene.model_copy(update={"material": material, "tolerance": tolerance}))
+        self.points = np.concatenate([one.actual.markers.points for one in made])
+        self.rest_px = np.stack([one.project(one.actual.markers.points) for one in made])
+        modulus = scene.material.youngs_modulus_mpa
+        self.stiffer = [one.actual.scene.material.youngs_modulus_mpa / modulus for one in made]
         self.press = cache(self._press)
         self.square = cache(self._square)
         self.bumps = cache(self._bumps)
@@ -89,43 +89,28 @@ class Truth:
 
     def _press(self, chart: tuple[float, float]) -> list[Measured]:
         """Return a calibration press's steps: along z, then with shear along x, then along y."""
-        path = self.sensor.press(calibration_press(self.sensor.nominal, self._rectangle(chart, HALF_MM), 0)).path
+        square = Rectangles.on_surface(self.scene.body, np.array([chart]), HALF_MM, "press")
+        path = self.sensor.press(calibration_press(self.sensor.nominal, square, 0)).path
         print(f"pressed {chart}", file=sys.stderr, flush=True)
-        loads = [self.sensor.rectangles(state.load) for state in path]
-        return [
-            self._measured(load.force_n.sum(axis=0), self._body(chart).displacement(self.points, load))
-            for load in loads
-        ]
+        return [self._measured(self._body(chart), self.sensor.rectangles(state.load)) for state in path]
 
     def _square(self, chart: tuple[float, float], half_mm: float) -> Floats:
         """Return (s, 2n, 3) px/N of a uniform square, exact and linear."""
-        return self._transfer(self._body(chart).to_points(self.points, self._rectangle(chart, half_mm)))
+        square = Rectangles.on_surface(self.scene.body, np.array([chart]), half_mm, "square")
+        compliance = self._body(chart).to_points(self.points, square)
+        found = []
+        parts = compliance.reshape(len(self.made), -1, 3, 3)
+        for one, part, stiffer in zip(self.made, parts, self.stiffer, strict=True):
+            scene, points = one.actual.scene, one.actual.markers.points
+            slope = project_with_jacobian(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)[
+                1
+            ]
+            found.append((slope @ part).reshape(2 * len(slope), -1) / stiffer)
+        return np.stack(found)
 
     def _bumps(self, seed: int) -> Measured:
         """Return a load of several bumps, drawn anew for every seed."""
-        rectangles = self.sensor.rectangles(drawn_bumps(seed))
-        return self._measured(
-            rectangles.force_n.sum(axis=0), self.sensor.compliance.displacement(self.points, rectangles)
-        )
-
-    def _transfer(self, compliance: Floats) -> Floats:
-        """Return (s, 2n, q) px/N of all sensors from mm/N (3 s n, q) at the nominal modulus."""
-        parts = compliance.reshape(len(self.made), -1, 3, compliance.shape[1])
-        found = []
-        for one, part in zip(self.made, parts, strict=True):
-            scene = one.scene
-            slope = project_with_jacobian(
-                one.markers.points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
-            )[1]
-            found.append((slope @ part).reshape(2 * len(slope), -1) / self._stiffer(one))
-        return np.stack(found)
-
-    def _rectangle(self, chart: tuple[float, float], half_mm: float) -> Rectangles:
-        points = self.scene.body.chart_points(np.array([chart]))
-        half = np.full((1, 2), half_mm)
-        return Rectangles(
-            centre_mm=points, frames=self.scene.body.frames(points), half_mm=half, force_n=np.zeros((1, 3))
-        )  # fmt: skip
+        return self._measured(self.sensor.compliance, self.sensor.rectangles(drawn_bumps(seed)))
 
     def _body_at(self, chart: tuple[float, float]) -> Any:
         """Return the body's compliance; a covered one has a mesh for every place, of which the last is kept."""
@@ -134,21 +119,10 @@ class Truth:
         scene, layer = self.sensor.nominal, TaylorHood.Layer(modulus_ratio=COVER, poisson_ratio=NU)
         return CoveredCompliance(scene.body, scene.material, 0.2, layer, level="coarse")
 
-    def _stiffer(self, one: Any) -> float:
-        return one.scene.material.youngs_modulus_mpa / self.scene.material.youngs_modulus_mpa
-
-    def _measured(self, force: Floats, moved: Floats) -> Measured:
-        forces = np.stack([force * self._stiffer(one) for one in self.made])
-        parts = moved.reshape(len(self.made), -1, 3)
-        shifts = [
-            self._project(one, one.markers.points + part) - self._project(one, one.markers.points)
-            for one, part in zip(self.made, parts, strict=True)
-        ]
-        return Measured(forces, np.stack(shifts))
-
-    def _project(self, one: Any, points: Floats) -> Floats:
-        scene = one.scene
-        return project(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)  # type: ignore[arg-type]
+    def _measured(self, body: Any, load: Rectangles) -> Measured:
+        there = (self.points + body.displacement(self.points, load)).reshape(len(self.made), -1, 3)
+        seen = [one.project(points) for one, points in zip(self.made, there, strict=True)]
+        return Measured(np.outer(self.stiffer, load.force_n.sum(axis=0)), np.stack(seen) - self.rest_px)
 
 
 @cache
@@ -163,11 +137,8 @@ def drawn_bumps(seed: int) -> Load:
     random = np.random.default_rng(seed)
     load = Load()
     for _ in range(3):
-        x, y = random.uniform(-3, 3, 2)
-        shear = random.normal(0, 0.15, 2)
-        load = load + Traction.bump(
-            (float(x), float(y)), float(random.uniform(1.5, 3)), (float(shear[0]), float(shear[1]), 1.0)
-        )
+        centre, shear = random.uniform(-3, 3, 2).tolist(), random.normal(0, 0.15, 2).tolist()
+        load = load + Traction.bump(centre, float(random.uniform(1.5, 3)), (*shear, 1.0))
     return load
 
 
@@ -248,10 +219,8 @@ def measured(truth: Truth, number: int, chart: list[tuple[float, float]], single
 
 def drawn(twin: FittedDesign) -> Fit:
     """Return the design as drawn."""
-    zero = np.zeros(len(twin.names))
-    return Fit(
-        names=twin.names, scaled=zero, covariance=np.eye(len(zero)), residual_px=0.0, model_px=0.0, left_out=zero
-    )  # fmt: skip
+    zero, given = np.zeros(len(twin.names)), np.eye(len(twin.names))
+    return Fit(names=twin.names, scaled=zero, covariance=given, residual_px=0.0, model_px=0.0, left_out=zero)
 
 
 def errors(truth: Truth, number: int, twin: FittedDesign, found: Fit, presses: Presses) -> dict[str, float]:
@@ -288,25 +257,24 @@ def free_matrices(numbers: Any) -> list[dict[str, Any]]:
         presses = measured(truth, number, LAWN)
         found = drawn(twin)
         markers, _ = twin.markers_of(found.scaled, np.full_like(presses.rest_px, np.nan))
-        own = from_presses(
-            presses.force_n.reshape(-1, 3, 3).transpose(0, 2, 1), presses.shift_px.reshape(len(LAWN), 3, -1)
+        forces = presses.force_n.reshape(-1, 3, 3).transpose(0, 2, 1)
+        own = from_presses(forces, presses.shift_px.reshape(len(LAWN), 3, -1))
+        there, between = (
+            twin.transfer(found.scaled, markers, twin.compliance(found.scaled, markers, at))
+            for at in (places, squares(scene))
         )
-
-        def nominal(at: Rectangles, found: Fit = found, markers: Floats = markers) -> Floats:
-            return twin.transfer(found.scaled, markers, twin.compliance(found.scaled, markers, at))
-
         coarse = calibration(scene, twin, found, markers, scene.reconstruction.sites)
-        wanted = {"squares": nominal(squares(scene)), "coarse": coarse.transfer}
-        charts = {"squares": np.array(BETWEEN + EDGE), "coarse": scene.reconstruction.sites.chart()}
-        there = nominal(places)
+        # no camera to follow: a free matrix knows none
+        free = replace(coarse, compliance=np.zeros((0, 0), np.float32), marker_mm=np.zeros((0, 3)), camera="{}")
+        sites = scene.reconstruction.sites.chart()
         for name, helped in MEASURED.items():
-            filled = {
-                key: fill_between(own, helped * there, helped * value, (GRID, GRID), charts[key])
-                for key, value in wanted.items()
-            }
+            at_squares, at_sites = (
+                fill_between(own, helped * there, helped * nominal, (GRID, GRID), chart)
+                for nominal, chart in ((between, np.array(BETWEEN + EDGE)), (coarse.transfer, sites))
+            )
             case: dict[str, Any] = {"places": 25, "covered": False, "sensor": number, "way": name, "residual_px": 0.0}
-            case |= transfer_errors(truth, number, filled["squares"])
-            case |= totals(truth, number, linear(coarse, filled["coarse"]))
+            case |= transfer_errors(truth, number, at_squares)
+            case |= totals(truth, number, replace(free, transfer=at_sites))
             out.append(case)
             print(json.dumps(case), file=sys.stderr, flush=True)
     return out
@@ -315,13 +283,6 @@ def free_matrices(numbers: Any) -> list[dict[str, Any]]:
 def squares(scene: Scene) -> Rectangles:
     """Return the squares whose transfer is compared."""
     return Rectangles.on_surface(scene.body, np.array(BETWEEN + EDGE), 0.625, "squares")
-
-
-def linear(one: Calibration, transfer: Floats) -> Calibration:
-    """Return a calibration with another transfer matrix and no camera to follow."""
-    return replace(
-        one, transfer=transfer, compliance=np.zeros((0, 0), np.float32), marker_mm=np.zeros((0, 3)), camera="{}"
-    )  # fmt: skip
 
 
 def transfer_errors(truth: Truth, number: int, transfer: Floats) -> dict[str, float]:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from unittest.mock import patch
 
 from twin.files import cache_folder
 
@@ -52,15 +53,10 @@ def _now() -> tuple[float, float]:
 @contextmanager
 def empty_cache() -> Iterator[None]:
     """Give the program a cache folder of its own that is empty, so that nothing solved before is read."""
-    before = os.environ.get("TWIN_CACHE")
     with tempfile.TemporaryDirectory(prefix="twin-benchmark-") as folder:
-        os.environ["TWIN_CACHE"] = folder
-        cache_folder.cache_clear()
         try:
-            yield
+            with patch.dict(os.environ, TWIN_CACHE=folder):
+                cache_folder.cache_clear()
+                yield
         finally:
-            if before is None:
-                del os.environ["TWIN_CACHE"]
-            else:
-                os.environ["TWIN_CACHE"] = before
             cache_folder.cache_clear()

@@ -168,85 +168,60 @@ def hidden(
 def conditions(diameter: float, repeats: int) -> Iterator[dict[str, Any]]:
     """Yield a row of each condition."""
     card = Card(diameter)
-    every, clear = np.arange(len(card.marks)), Card.draw
+    every, some = np.arange(len(card.marks)), np.arange(len(card.marks))[::5]
     shifts = [card.shifts(10 + i) for i in range(repeats)]
     rest = expose(card.draw(), 1)
 
-    def measured(name: str, picture: Callable[[int], np.ndarray], first: np.ndarray = rest, of: Any = every) -> Any:
-        found = [(track(first, picture(i), card.layout), shifts[i]) for i in range(repeats)]
-        return row(name, diameter, found, card.bound, of)
+    def shown(i: int, hide: float = 0.0, **how: Any) -> np.ndarray:
+        """Return picture ``i``, drawn as told, with a share of some markers hidden."""
+        drawn = card.draw(shifts[i], **how)
+        return expose(hidden(card, drawn, shifts[i], some, hide, i, how.get("psf", 0.7)) if hide else drawn, 20 + i)
 
-    yield measured("clean", lambda i: expose(clear(card, shifts[i]), 20 + i))
-    some = every[::5]
+    def measured(
+        name: str, first: np.ndarray = rest, camera: Callable[[np.ndarray], np.ndarray] = np.asarray, **how: Any
+    ) -> dict[str, Any]:
+        """Return the row of pictures that a camera delivers, after its picture of ``first``."""
+        found = [(track(camera(first), camera(shown(i, **how)), card.layout), shifts[i]) for i in range(repeats)]
+        return row(name, diameter, found, card.bound, some if "hide" in how else every)
+
+    def lit(name: str, **how: Any) -> dict[str, Any]:
+        """Return the row of what is there at rest as well."""
+        return measured(name, expose(card.draw(**how), 1), **how)
+
+    yield measured("clean")
     for area in (0.05, 0.14, 0.31, 0.5):
-        yield measured(
-            f"{100 * area:.0f} % of the area hidden",
-            lambda i, a=area: expose(hidden(card, clear(card, shifts[i]), shifts[i], some, a, i), 20 + i),
-            of=some,
-        )
-    blurred = expose(card.draw(psf=1.6), 1)
+        yield measured(f"{100 * area:.0f} % of the area hidden", hide=area)
     for area in (0.01, 0.02):
-        yield measured(
-            f"blur 1.6 px, {100 * area:.0f} % of the area hidden",
-            lambda i, a=area: expose(hidden(card, clear(card, shifts[i], 1.6), shifts[i], some, a, i, 1.6), 20 + i),
-            blurred,
-            some,
-        )
+        name = f"blur 1.6 px, {100 * area:.0f} % of the area hidden"
+        yield measured(name, expose(card.draw(psf=1.6), 1), hide=area, psf=1.6)
     for area in (0.05, 0.14, 0.31):
-        yield measured(
-            f"JPEG 85, {100 * area:.0f} % of the area hidden",
-            lambda i, a=area: jpeg(expose(hidden(card, clear(card, shifts[i]), shifts[i], some, a, i), 20 + i)),
-            jpeg(rest),
-            some,
-        )
+        yield measured(f"JPEG 85, {100 * area:.0f} % of the area hidden", camera=jpeg, hide=area)
     for ratio in (1.3, 1.5, 1.8):
         turned = stretches(len(every), ratio, np.random.default_rng(5))
-        yield measured(
-            f"strained, axis ratio {ratio}", lambda i, s=turned: expose(clear(card, shifts[i], stretch=s), 20 + i)
-        )
+        yield measured(f"strained, axis ratio {ratio}", stretch=turned)
     for psf in (1.3, 1.6, 2.0):
-        yield measured(f"blur 0.7 to {psf} px", lambda i, b=psf: expose(clear(card, shifts[i], psf=b), 20 + i))
-    for name, camera in (
-        ("JPEG 85, 4:2:0", jpeg),
-        ("JPEG 60, 4:2:0", lambda p: jpeg(p, 60)),
-        ("JPEG 85, 4:4:4", lambda p: jpeg(p, 85, 0)),
-        ("colour mosaic", mosaic),
-        ("colour mosaic and JPEG 85", lambda p: jpeg(mosaic(p))),
-    ):
-        yield measured(name, lambda i, c=camera: c(expose(clear(card, shifts[i]), 20 + i)), camera(rest))
-    frames = film([rest, *(expose(clear(card, s), 20 + i) for i, s in enumerate(shifts))])
-    yield measured("H.264, 4 Mbit/s", lambda i: frames[1 + i], frames[0])
+        yield measured(f"blur 0.7 to {psf} px", psf=psf)
+    yield measured("JPEG 85, 4:2:0", camera=jpeg)
+    yield measured("JPEG 60, 4:2:0", camera=lambda p: jpeg(p, 60))
+    yield measured("JPEG 85, 4:4:4", camera=lambda p: jpeg(p, 85, 0))
+    yield measured("colour mosaic", camera=mosaic)
+    yield measured("colour mosaic and JPEG 85", camera=lambda p: jpeg(mosaic(p)))
+    frames = film([rest, *(shown(i) for i in range(repeats))])
+    found = [(track(frames[0], frame, card.layout), s) for frame, s in zip(frames[1:], shifts, strict=True)]
+    yield row("H.264, 4 Mbit/s", diameter, found, card.bound, every)
     glint = lambda dx, dy, x, y: 1 + 0.8 * np.exp(-0.5 * ((dx - 0.2 * diameter) ** 2 + dy**2))  # noqa: E731
-    yield measured(
-        "a glint on every marker",
-        lambda i: expose(clear(card, shifts[i], shade=glint), 20 + i), expose(clear(card, shade=glint), 1),
-    )  # fmt: skip
-    yield measured("glints that weren't at rest", lambda i: expose(clear(card, shifts[i], shade=glint), 20 + i))
-    dust = specks(card.size, card.size[0] * card.size[1] // 600, np.random.default_rng(6))[..., None]
-    yield measured(
-        "dust on the window",
-        lambda i: expose(clear(card, shifts[i], gain=dust), 20 + i), expose(clear(card, gain=dust), 1),
-    )  # fmt: skip
-    grains = card.grain(5.0, 4.0)
-    yield measured(
-        "grained ground that stays",
-        lambda i: expose(clear(card, shifts[i], grain=grains), 20 + i), expose(clear(card, grain=grains), 1),
-    )  # fmt: skip
+    yield lit("a glint on every marker", shade=glint)
+    yield measured("glints that weren't at rest", shade=glint)
+    dust = specks(card.size, card.size[0] * card.size[1] // 600, np.random.default_rng(6))
+    yield lit("dust on the window", gain=dust[..., None])
+    yield lit("grained ground that stays", grain=card.grain(5.0, 4.0))
     hot = np.random.default_rng(7).random(rest.shape) < 1e-3
-    yield measured(
-        "hot pixels, 1 in 1000",
-        lambda i: np.where(hot, 255, expose(clear(card, shifts[i]), 20 + i)).astype(np.uint8),
-        np.where(hot, 255, rest).astype(np.uint8),
-    )
+    yield measured("hot pixels, 1 in 1000", camera=lambda p: np.where(hot, 255, p).astype(np.uint8))
     for gain in (0.6, 1.5, 2.2):
-        yield measured(f"gain x {gain}", lambda i, g=gain: expose(clear(card, shifts[i], gain=g), 20 + i))
+        yield measured(f"gain x {gain}", gain=gain)
     row_, column = np.indices(rest.shape[:2]) - (np.array(rest.shape[:2]) / 2)[:, None, None]
     fall = 1.0 - 0.72 * (row_**2 + column**2) / (np.array(rest.shape[:2]) ** 2 / 4).sum()
-    yield measured(
-        "vignetting to 0.28",
-        lambda i: expose(clear(card, shifts[i], gain=fall[..., None]), 20 + i),
-        expose(clear(card, gain=fall[..., None]), 1),
-    )
+    yield lit("vignetting to 0.28", gain=fall[..., None])
 
 
 def motions(diameter: float) -> Iterator[dict[str, Any]]:

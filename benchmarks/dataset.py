@@ -6,9 +6,10 @@ CPU milliseconds a sample of one process, after a shard that warms everything up
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from twin.blas_threads import one_thread
 from twin.study import sensor
@@ -97,22 +98,18 @@ def _stages() -> Iterator[dict[str, float]]:
         "parquet": (sample, "parquet"),
     }
     spent = dict.fromkeys(where, 0.0)
-    before = {stage: getattr(owner, name) for stage, (owner, name) in where.items()}
 
-    def counted(stage: str) -> Any:
+    def counted(stage: str, before: Any) -> Any:
         def call(*arguments: Any, **named: Any) -> Any:
             started = time.process_time()
             try:
-                return before[stage](*arguments, **named)
+                return before(*arguments, **named)
             finally:
                 spent[stage] += time.process_time() - started
 
         return call
 
-    for stage, (owner, name) in where.items():
-        setattr(owner, name, counted(stage))
-    try:
-        yield spent
-    finally:
+    with ExitStack() as patched:
         for stage, (owner, name) in where.items():
-            setattr(owner, name, before[stage])
+            patched.enter_context(patch.object(owner, name, counted(stage, getattr(owner, name))))
+        yield spent

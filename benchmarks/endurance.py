@@ -13,6 +13,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
@@ -29,12 +30,10 @@ GROWTH = {"memory_mb": 60.0, "threads": 0, "files": 0, "children": 0}
 
 def state() -> dict[str, float]:
     """Return this process's resident memory in MB, threads, open files and child processes."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    memory = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
     children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
-    return {
-        "memory_mb": pages * os.sysconf("SC_PAGE_SIZE") / 1e6, "threads": float(threading.active_count()),
-        "files": float(len(os.listdir("/proc/self/fd"))), "children": float(len(children)),
-    }  # fmt: skip
+    counts = threading.active_count(), len(os.listdir("/proc/self/fd")), len(children)
+    return dict(zip(GROWTH, (memory, *map(float, counts)), strict=True))
 
 
 def jobs(folder: Path) -> dict[str, Callable[[int], None]]:
@@ -47,14 +46,10 @@ def jobs(folder: Path) -> dict[str, Callable[[int], None]]:
     calibration, out = folder / "flat.npz", folder / "out"
 
     def press(number: int) -> None:
-        rng = np.random.default_rng(number)
-        ball = twin.Sphere(diameter_mm=float(rng.uniform(3, 8)))
-        at = (float(rng.uniform(-3, 3)), float(rng.uniform(-2, 2)))
-        state = sensor.press(
-            twin.Press(probe=ball, at_mm=at, force_n=(0, 0, 0.4), friction=float(rng.choice([0, 0.5])))
-        )
-        picture = sensor.picture(state.load, number)
-        assert picture.shape == (120, 160, 3)
+        width, x, y = np.random.default_rng(number).uniform((3, -3, -2), (8, 3, 2)).tolist()
+        ball = twin.Sphere(diameter_mm=width)
+        press = twin.Press(probe=ball, at_mm=(x, y), force_n=(0, 0, 0.4), friction=0.5 * (number % 2))
+        assert sensor.picture(sensor.press(press).load, number).shape == (120, 160, 3)
 
     def chain(number: int) -> None:
         _must(0, ["run", str(scene), "--out", str(out), "-s", f"seed={number + 1}"])
@@ -97,18 +92,13 @@ def grown(states: list[dict[str, float]]) -> dict[str, tuple[float, float]]:
     """Return medians of the first tenth after the warm rounds and of the last tenth, by name."""
     steady = states[int(WARM * len(states)) :]
     some = max(1, len(steady) // 10)
-    return {
-        name: (float(np.median([s[name] for s in steady[:some]])), float(np.median([s[name] for s in steady[-some:]])))
-        for name in GROWTH
-    }
+    return {name: tuple(median(s[name] for s in part) for part in (steady[:some], steady[-some:])) for name in GROWTH}
 
 
 def problems(states: list[dict[str, float]]) -> list[str]:
     """Return what grew by more than it may."""
-    return [
-        f"{name} grew from {first:g} to {last:g}" for name, (first, last) in grown(states).items()
-        if last - first > GROWTH[name]
-    ]  # fmt: skip
+    sizes = {name: (first, last) for name, (first, last) in grown(states).items() if last - first > GROWTH[name]}
+    return [f"{name} grew from {first:g} to {last:g}" for name, (first, last) in sizes.items()]
 
 
 def measure(*, minutes: float = 60.0) -> int:

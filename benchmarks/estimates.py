@@ -15,13 +15,13 @@ against a finer mesh, in a quarter of an hour.
 import json
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from itertools import product
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -123,15 +123,8 @@ def cases(body: str, loads: str = "given") -> Iterator[tuple[float, Points, Rect
         yield pushed.nu, near, pushed.on(body)
 
 
-@contextmanager
-def finer() -> Iterator[None]:
-    """Halve the pieces of face under a load, and the cells that it is merged into far from it."""
-    before = correction.FINEST, correction.CELLS
-    correction.FINEST, correction.CELLS = before[0] / 2.0, before[1] * 2.0
-    try:
-        yield
-    finally:
-        correction.FINEST, correction.CELLS = before
+FINER_LOADS = {"FINEST": correction.FINEST / 2.0, "CELLS": correction.CELLS * 2.0}
+"""Half the pieces of face under a load, and half the cells that it is merged into far from it."""
 
 
 def ratios(body: str) -> dict[tuple[str, Level], list[float]]:
@@ -144,7 +137,7 @@ def ratios(body: str) -> dict[tuple[str, Level], list[float]]:
     found: dict[tuple[str, Level], list[float]] = {key: [] for key in product(LOADS, LEVELS)}
     for loads in LOADS:
         for nu, points, load in cases(body, loads):
-            with finer(), empty_cache():
+            with patch.multiple(correction, **FINER_LOADS), empty_cache():
                 right = stiff(nu, "fine", body == "block").displacement(points, load)
             for level in LEVELS:
                 got, told = stiff(nu, level).answer(points, load)
@@ -213,16 +206,6 @@ FINER = body_strain._Fineness(0.47, 0.65, 0.3, (4, 2))
 """The mesh that spheres with friction are compared with."""
 
 
-@contextmanager
-def _finer_strain() -> Iterator[None]:
-    usual = body_strain._FINE
-    body_strain._FINE = FINER
-    try:
-        yield
-    finally:
-        body_strain._FINE = usual
-
-
 def _sensors(scene: str) -> tuple[Sensor, ...]:
     overrides = {"material.youngs_modulus_mpa": 1.0, "tolerance.preset": "none"}
     return tuple(Sensor(load_scene(scene, {**overrides, "material.law": law})) for law in LAWS)
@@ -266,19 +249,14 @@ def _rubbed(case: Rubbed) -> Iterator[Row]:
     places = np.concatenate([top + deep * inward for deep in (1.0, 1.5, 3.0)])
     straight = sensors[0].press(press_).path
     path = sensors[1].press(press_).path
-    with _finer_strain():
+    with patch.object(body_strain, "_FINE", FINER):
         truth = sensors[1].press(press_).path
     for number, (linear, state, finer) in enumerate(zip(straight, path, truth, strict=True)):
         size = np.linalg.norm(sensors[0].displacement(places, linear), axis=1).max()
         true = finer.load.strained.displacement(places)
-        row = {
-            "scene": case.scene,
-            "diameter_mm": case.diameter_mm,
-            "friction": case.friction,
-            "path": f"pressed, {case.push_n:g} N" if number == 0 else f"then {case.then}",
-            "slipping": float(np.mean(linear.slip)),
-            **_left(state, places, true, size),
-        }
+        row = {"scene": case.scene, "diameter_mm": case.diameter_mm, "friction": case.friction}
+        row["path"] = f"pressed, {case.push_n:g} N" if number == 0 else f"then {case.then}"
+        row |= {"slipping": float(np.mean(linear.slip)), **_left(state, places, true, size)}
         if number and "move_mm" in case.then:
             row |= _held(state, *(float(one.force_n[0]) for one in (linear, state, finer)))
         if number and "turn_deg" in case.then:

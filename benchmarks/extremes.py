@@ -121,10 +121,8 @@ def extremes(rules: typing.Sequence[Any], kind: type, dear: float = math.inf) ->
     """Return the values at which a number is tried: the ends of its range, and what of `FAR` lies within it."""
     low, high = bounds(rules)
     least, most = (-math.inf if low is None else low), min(math.inf if high is None else high, dear)
-    high = most if high is not None else None
-    far = FAR if kind is float else (0, 10**12)
-    ends = [end for end in (low, high) if end is not None]
-    return sorted({kind(value) for value in (*ends, *far) if least <= value <= most})
+    ends = [end for end, given in ((least, low), (most, high)) if given is not None]
+    return sorted({kind(v) for v in (*ends, *(FAR if kind is float else (0, 10**12))) if least <= v <= most})
 
 
 def cases(name: str) -> Iterator[tuple[str, float | int, Table]]:

@@ -18,7 +18,7 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -76,19 +76,17 @@ INVERSES: dict[str, dict[str, Any]] = {
 PRESSES, PAIRS, SAMPLES = 100, 20, 8
 """Presses on each body, tracked pairs, rows of each dataset."""
 
-PRESS_COLUMNS = [
-    "force_x",
-    "force_y",
-    "force_z",
-    "torque",
-    "indentation",
-    "radius",
-    "peak",
-    "area",
-    "elastic",
-    "traction_squared",
-    "slipping",
-]
+PRESS_COLUMNS: dict[str, Callable[[Any], float]] = {
+    **{f"force_{axis}": lambda state, i=i: state.force_n[i] for i, axis in enumerate("xyz")},
+    "torque": lambda state: state.torque_nmm,
+    "indentation": lambda state: state.indentation_mm,
+    "radius": lambda state: state.contact_radius_mm,
+    "peak": lambda state: state.peak_pressure_mpa,
+    "area": lambda state: state.area_mm2,
+    "elastic": lambda state: state.elastic_nmm,
+    "traction_squared": lambda state: (state.traction_mpa**2).sum(),
+    "slipping": lambda state: state.slip.sum(),
+}
 """What is kept of a press; of one that is refused, NaN."""
 
 CLOCK = ("seconds", "_ms")
@@ -140,20 +138,14 @@ def _presses() -> Iterator[tuple[str, Any]]:
 
     for body, scene in (("block", "block_bare"), ("finger", "finger_bare")):
         sensor = twin.Sensor(twin.load_scene(scene, {"accuracy.contact_patches": 10}))
-        rows = []
+        states = []
         for number in range(PRESSES):
-            press, _ = drawn(body, number)
             try:
-                state = sensor.press(press)
+                states.append(sensor.press(drawn(body, number)[0]))
             except twin.TwinError:
-                rows.append(np.full(len(PRESS_COLUMNS), np.nan))
-                continue
-            numbers = [*state.force_n, state.torque_nmm, state.indentation_mm]
-            numbers += [state.contact_radius_mm, state.peak_pressure_mpa, state.area_mm2]
-            numbers += [state.elastic_nmm, (state.traction_mpa**2).sum(), state.slip.sum()]
-            rows.append(np.array(numbers, float))
-        for name, column in zip(PRESS_COLUMNS, np.array(rows).T, strict=True):
-            yield f"presses/{body}/{name}", column
+                states.append(None)
+        for name, figure in PRESS_COLUMNS.items():
+            yield f"presses/{body}/{name}", np.array([np.nan if s is None else figure(s) for s in states], float)
 
 
 def _pairs() -> Iterator[tuple[str, Any]]:

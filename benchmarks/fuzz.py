@@ -13,20 +13,21 @@ The table is stored in benchmarks/results/fuzz.json; exit code 1 if anything fai
 """
 
 import faulthandler
+import importlib
 import json
 import os
 import resource
+import shutil
 import signal
 import sys
 import tempfile
-import time
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from benchmarks.fuzz_files import READERS, Reader, damaged, make_whole_files
-from benchmarks.record import RESULTS, Natural, machine, table
+from benchmarks.fuzz_files import READERS, Reader, Spoil, damaged, make_whole_files, written
+from benchmarks.record import RESULTS, Natural, Row, machine, table
 
 STORED = RESULTS / "fuzz.json"
 REFUSE_CPU_S, ACCEPT_CPU_S, WALL_S = 10, 60, 120
@@ -55,45 +56,18 @@ class Attempt:
     wrong: str = ""
 
 
-@dataclass
-class Found:
-    """What became of all attempts of a reader."""
-
-    attempts: int = 0
-    codes: dict[str, int] = field(default_factory=dict)
-    slowest_s: float = 0.0
-    largest_mb: float = 0.0
-    failed: list[str] = field(default_factory=list)
-
-    def add(self, name: str, one: Attempt) -> None:
-        """Count an attempt."""
-        self.attempts += 1
-        self.codes[str(one.code)] = self.codes.get(str(one.code), 0) + 1
-        self.slowest_s, self.largest_mb = max(self.slowest_s, one.cpu_s), max(self.largest_mb, one.memory_mb)
-        if one.wrong:
-            self.failed.append(f"{name}: {one.wrong}: {one.told[-300:]}")
-
-
-def warm() -> None:
-    """Load what children use, so that none counts it."""
-    import importlib
-
-    for name in WARM:
-        importlib.import_module(name)
-
-
 def attempt(reader: Reader, box: Path) -> Attempt:
     """Run a reader in a child whose folder is ``box/inside``; ``box/outside`` must stay as it is."""
-    before = _listing(box / "outside")
-    told, started = box / "told", time.monotonic()
+    before, told = _listing(box / "outside"), box / "told"
     child = os.fork()
     if child == 0:
         _as_child(reader, box / "inside", told)
-    code, usage, hung = _wait(child, started)
-    one = Attempt(code=code, cpu_s=usage.ru_utime + usage.ru_stime, memory_mb=usage.ru_maxrss / 1024,
-                  told=told.read_text(errors="replace") if told.is_file() else "")  # fmt: skip
+    _, status, usage = os.wait4(child, 0)
+    text = told.read_text(errors="replace") if told.is_file() else ""
+    cpu_s, code = usage.ru_utime + usage.ru_stime, os.waitstatus_to_exitcode(status)
+    one = Attempt(code=code, cpu_s=cpu_s, memory_mb=usage.ru_maxrss / 1024, told=text)
     strange = sorted(path.name for path in box.iterdir() if path.name not in ("inside", "outside", "told"))
-    if hung or one.cpu_s > (REFUSE_CPU_S if code else ACCEPT_CPU_S):
+    if one.cpu_s > (REFUSE_CPU_S if code else ACCEPT_CPU_S):
         one.wrong = f"took {one.cpu_s:.1f} s of CPU"
     elif code < 0 or code > 4:
         one.wrong = f"ended with code {code}"
@@ -106,18 +80,6 @@ def attempt(reader: Reader, box: Path) -> Attempt:
     return one
 
 
-def _wait(child: int, started: float) -> tuple[int, resource.struct_rusage, bool]:
-    hung = False
-    while True:
-        done, status, usage = os.wait4(child, 0 if hung else os.WNOHANG)
-        if done:
-            return os.waitstatus_to_exitcode(status), usage, hung
-        if time.monotonic() - started > WALL_S:
-            hung = True
-            os.kill(child, signal.SIGKILL)
-        time.sleep(0.002)
-
-
 def _as_child(reader: Reader, inside: Path, told: Path) -> None:
     """Run the reader's command with bounded memory and time; never returns."""
     from twin.cli import main
@@ -125,13 +87,14 @@ def _as_child(reader: Reader, inside: Path, told: Path) -> None:
     code = 99
     faulthandler.disable()  # what ends a child is told by its parent
     try:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(WALL_S)  # ends a child that waits for ever
         os.chdir(inside)
         sys.stderr.flush()
         sys.stdout.flush()
         with open(told, "wb") as words:
             os.dup2(words.fileno(), 2)
-        nothing = os.open(reader.stdin if reader.stdin else os.devnull, os.O_RDONLY)
-        os.dup2(nothing, 0)
+        os.dup2(os.open(reader.stdin or os.devnull, os.O_RDONLY), 0)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         # whatever the parent has put in their place
         sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
@@ -149,68 +112,49 @@ def _as_child(reader: Reader, inside: Path, told: Path) -> None:
         os._exit(code)
 
 
-def _listing(folder: Path) -> dict[str, tuple[int, int, int]]:
-    found = {}
-    for path in sorted(folder.rglob("*")):
-        facts = path.lstat()
-        found[str(path.relative_to(folder))] = (facts.st_size, facts.st_mtime_ns, facts.st_mode)
-    return found
+def _listing(folder: Path) -> list[tuple[str, int, int, int]]:
+    facts = ((str(path.relative_to(folder)), path.lstat()) for path in sorted(folder.rglob("*")))
+    return [(name, found.st_size, found.st_mtime_ns, found.st_mode) for name, found in facts]
 
 
-def cases(reader: Reader, whole: Path, rounds: int) -> Iterator[tuple[str, Any]]:
+def cases(reader: Reader, whole: Path, rounds: int) -> Iterator[tuple[str, Spoil]]:
     """Yield the names of a reader's attempts, each with a function that spoils a fresh copy of the whole files."""
     yield "whole", lambda inside: None
-    for name, spoil in reader.hostile.items():
-        yield name, spoil
+    yield from reader.hostile.items()
     for target in reader.targets:
         data = (whole / reader.name / target).read_bytes()
         for name, spoilt in damaged(data, rounds, seed=len(reader.name)):
-            yield f"{target} {name}", lambda inside, t=target, d=spoilt: (inside / t).write_bytes(d)
+            yield f"{target} {name}", written(target, spoilt)
 
 
-def survey(readers: dict[str, Reader], rounds: int, tell: Any = None) -> dict[str, Found]:
-    """Attack every reader; return what became of it."""
-    found: dict[str, Found] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder) / "whole"
-        make_whole_files(whole, READERS)
-        warm()
-        for reader in readers.values():
-            here = found[reader.name] = Found()
-            for number, (name, spoil) in enumerate(cases(reader, whole, rounds)):
-                here.add(name, _boxed(reader, whole, Path(folder) / f"{reader.name}-{number}", spoil, name))
-            if tell:
-                tell(reader.name, here)
-    return found
-
-
-def _boxed(reader: Reader, whole: Path, box: Path, spoil: Any, name: str) -> Attempt:
-    import shutil
-
-    shutil.copytree(whole / reader.name, box / "inside", symlinks=True)
-    (box / "outside").mkdir()
-    (box / "outside" / "precious").write_text("precious")
-    (box / "outside" / ".precious.1.part").write_text("precious")
-    try:
-        spoil(box / "inside")
-        one = attempt(reader, box)
+def attacked(reader: Reader, whole: Path, folder: Path, rounds: int) -> tuple[Row, list[str]]:
+    """Attack a reader in every way; return its row, and a line for each attempt that failed."""
+    done: list[Attempt] = []
+    failed = []
+    for number, (name, spoil) in enumerate(cases(reader, whole, rounds)):
+        box = folder / f"{reader.name}-{number}"
+        shutil.copytree(whole / reader.name, box / "inside", symlinks=True)
+        (box / "outside").mkdir()
+        (box / "outside" / "precious").write_text("precious")
+        (box / "outside" / ".precious.1.part").write_text("precious")
+        try:
+            spoil(box / "inside")
+            one = attempt(reader, box)
+        finally:
+            shutil.rmtree(box)
         if name == "whole" and one.code not in (0, MISSING):
             one.wrong = f"the whole file is refused with code {one.code}"
-        return one
-    finally:
-        shutil.rmtree(box)
-
-
-def rows_of(found: dict[str, Found]) -> list[dict[str, Any]]:
-    """Return one row a reader."""
-    return [
-        {
-            "reader": name, "attempts": one.attempts,
-            "exit codes": ", ".join(f"{code}: {n}" for code, n in sorted(one.codes.items())),
-            "slowest, CPU s": one.slowest_s, "largest, MB": one.largest_mb, "failed": len(one.failed),
-        }
-        for name, one in found.items()
-    ]  # fmt: skip
+        if one.wrong:
+            failed.append(f"{name}: {one.wrong}: {one.told[-300:]}".replace("\n", " "))
+        done.append(one)
+    codes = Counter(str(one.code) for one in done)
+    row = {
+        "reader": reader.name, "attempts": len(done),
+        "exit codes": ", ".join(f"{code}: {n}" for code, n in sorted(codes.items())),
+        "slowest, CPU s": max(one.cpu_s for one in done), "largest, MB": max(one.memory_mb for one in done),
+        "failed": len(failed),
+    }  # fmt: skip
+    return row, failed
 
 
 def measure(*, rounds: Natural = 40, reader: str = "", out: Path = STORED) -> int:
@@ -229,16 +173,20 @@ def measure(*, rounds: Natural = 40, reader: str = "", out: Path = STORED) -> in
         raise SystemExit(f"--reader {reader}: choose from {', '.join(sorted(READERS))}")
     if not out.parent.is_dir() or out.is_dir():
         raise SystemExit(f"--out {out}: name a file in a folder that is there")
-    chosen = {k: v for k, v in READERS.items() if reader in ("", k)}
-
-    def tell(name: str, one: Found) -> None:
-        print(f"{name}: {one.attempts} attempts, {len(one.failed)} failed", file=sys.stderr)
-        for line in one.failed:
-            print("   ", line.replace("\n", " "), file=sys.stderr)
-
-    found = survey(chosen, rounds, tell)
-    print(table(rows_of(found)))
-    bad = any(one.failed for one in found.values())
+    rows, bad = [], False
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / "whole"
+        make_whole_files(whole, READERS)
+        for name in WARM:
+            importlib.import_module(name)
+        for one in [READERS[reader]] if reader else READERS.values():
+            row, failed = attacked(one, whole, Path(folder), rounds)
+            print(f"{one.name}: {row['attempts']} attempts, {len(failed)} failed", file=sys.stderr)
+            for line in failed:
+                print("   ", line, file=sys.stderr)
+            rows.append(row)
+            bad |= bool(failed)
+    print(table(rows))
     if not reader and not bad:
-        out.write_text(json.dumps({"machine": machine(), "rows": rows_of(found)}, indent=1) + "\n")
+        out.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
     return int(bad)

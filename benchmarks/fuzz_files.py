@@ -52,11 +52,6 @@ def npz_pickle(name: str, key: str) -> Spoil:
 
 
 @spoiling
-def bare_pickle(inside: Path, name: str) -> None:
-    (inside / name).write_bytes(pickle.dumps(Evil()))
-
-
-@spoiling
 def npz_bomb(inside: Path, name: str, key: str) -> None:
     """Replace an array by 16 GB of zeros, which deflate to 16 MB."""
     with (
@@ -115,14 +110,14 @@ def as_folder(inside: Path, name: str) -> None:
 
 
 @spoiling
-def swept_rows(inside: Path, rows: bytes) -> None:
-    (inside / "swept").mkdir()
-    (inside / "swept" / "rows.jsonl").write_bytes(rows)
+def written(inside: Path, name: str, text: str | bytes) -> None:
+    (inside / name).parent.mkdir(exist_ok=True)
+    (inside / name).write_bytes(text.encode() if isinstance(text, str) else text)
 
 
 @spoiling
-def written(inside: Path, name: str, text: str | bytes) -> None:
-    (inside / name).write_bytes(text.encode() if isinstance(text, str) else text)
+def pictured(inside: Path, name: str, pixels: np.ndarray) -> None:
+    save_as(pixels, inside / name)
 
 
 @spoiling
@@ -273,23 +268,18 @@ def make(folder: Path, readers: Iterable[str]) -> None:
     base = folder / "base"
     result = run(scene)
     result.write(base)
-    (base / "report.html").write_text(report(result))
-    (base / "small.toml").write_text(scene.to_toml())
     calibrate_to_file(scene, base / "flat.npz")
-    (base / "sweep.toml").write_text(SWEEP)
-    (base / "presses.csv").write_text(CSV)
-    (base / "solid.toml").write_text(SOLID)
-    (base / "probe.toml").write_text(PROBE)
-    (base / "body.stl").write_bytes(box_stl(12, 12, 8))
-    (base / "probe.stl").write_bytes(box_stl(2, 2, 2))
-    (base / "text.stl").write_text(box_stl(12, 12, 8, "stl_ascii"))
     matrix = {"rows": 3, "cols": 3, "data": [450.0, 0, 79.5, 0, 450.0, 59.5, 0, 0, 1]}
     lens = {"camera_matrix": matrix, "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.01, 0, 0, 0]}}
-    (base / "lens.json").write_text(json.dumps(lens))
-    (base / "lens.yaml").write_text(json.dumps(lens, indent=1))
-    (base / "json.toml").write_text(LENS % "json")
-    (base / "yaml.toml").write_text(LENS % "yaml")
-    (base / "frames.raw").write_bytes(result.rest.tobytes() + result.pressed.tobytes())
+    texts = {
+        "report.html": report(result), "small.toml": scene.to_toml(), "sweep.toml": SWEEP, "presses.csv": CSV,
+        "solid.toml": SOLID, "probe.toml": PROBE, "body.stl": box_stl(12, 12, 8), "probe.stl": box_stl(2, 2, 2),
+        "text.stl": box_stl(12, 12, 8, "stl_ascii"), "lens.json": json.dumps(lens), "json.toml": LENS % "json",
+        "lens.yaml": json.dumps(lens, indent=1), "yaml.toml": LENS % "yaml",
+        "frames.raw": result.rest.tobytes() + result.pressed.tobytes(),
+    }  # fmt: skip
+    for name, text in texts.items():
+        written(name, text)(base)
     # dots of 3 pixels: with colours at half the resolution none of them could be trusted
     save_as(result.pressed, base / "pressed.jpg", quality=95, subsampling=0)
     save_as(result.pressed, base / "pressed.bmp")
@@ -355,7 +345,7 @@ HOSTILE_TOML: dict[str, Spoil] = {
 ARCHIVE = {
     **no_file("flat.npz"),
     "pickle in it": npz_pickle("flat.npz", "transfer"),
-    "is a pickle": bare_pickle("flat.npz"),
+    "is a pickle": written("flat.npz", pickle.dumps(Evil())),
     "bomb": npz_bomb("flat.npz", "transfer"),
     "bomb under another name": npz_bomb("flat.npz", "unheard_of"),
     "claims a trillion": npz_lying("flat.npz", "transfer", (10**6, 10**6)),
@@ -370,6 +360,7 @@ ARCHIVE = {
     "version is a text": npz_with("flat.npz", "version", np.array("2")),
     "is a link": linked("flat.npz", "../outside/precious"),
 }
+NOISE = np.random.default_rng(0).integers(0, 256, (120, 160, 3), np.uint8)
 PICTURES = {
     "bomb": written("pressed.png", png_bomb(20_000)),
     "bomb below the limit": written("pressed.png", png_bomb(6_000)),
@@ -379,15 +370,11 @@ PICTURES = {
     "text bomb": written("pressed.png", ztxt_bomb()),
     "16 bits": written("pressed.png", png(4, 4, data=zlib.compress(bytes(4 * 25)), depth=16)),
     "palette without colours": written("pressed.png", png(4, 4, data=zlib.compress(bytes(20)), kind=3)),
-    "another size": lambda inside: save_as(np.zeros((7, 9, 3), np.uint8), inside / "pressed.png"),
-    "one pixel": lambda inside: save_as(np.zeros((1, 1, 3), np.uint8), inside / "pressed.png"),
-    "saturated": lambda inside: save_as(np.full((120, 160, 3), 255, np.uint8), inside / "pressed.png"),
-    "noise": lambda inside: save_as(
-        np.random.default_rng(0).integers(0, 256, (120, 160, 3), np.uint8), inside / "pressed.png"
-    ),
-    "noise at rest": lambda inside: save_as(
-        np.random.default_rng(0).integers(0, 256, (120, 160, 3), np.uint8), inside / "rest.png"
-    ),
+    "another size": pictured("pressed.png", np.zeros((7, 9, 3), np.uint8)),
+    "one pixel": pictured("pressed.png", np.zeros((1, 1, 3), np.uint8)),
+    "saturated": pictured("pressed.png", np.full((120, 160, 3), 255, np.uint8)),
+    "noise": pictured("pressed.png", NOISE),
+    "noise at rest": pictured("rest.png", NOISE),
     "PostScript": written("pressed.png", b"%!PS-Adobe-3.0\n%%BoundingBox: 0 0 9 9\n(../outside/executed) (w) file\n"),
     **no_file("pressed.png"),
     "table is a link": linked("forces.parquet", "../outside/precious"),
@@ -481,8 +468,8 @@ READERS = {
             "deep": appended("sweep.toml", "\nx = " + "[" * 100_000),
         }),
         Reader("sweep, kept rows", ("sweep", "sweep.toml", "--out", "swept", "--workers", "1"), (), {
-            "rows of another kind": swept_rows(b'{"key": "a"}\n[]\n{}\n3\n'),
-            "rows of bytes": swept_rows(b"\xff\xfe\n" * 1000),
+            "rows of another kind": written("swept/rows.jsonl", b'{"key": "a"}\n[]\n{}\n3\n'),
+            "rows of bytes": written("swept/rows.jsonl", b"\xff\xfe\n" * 1000),
             "a link to a folder outside": lambda inside: (
                 (inside / "swept").mkdir(), (inside / "swept" / "more").symlink_to("../../outside")),
         }),
@@ -557,8 +544,7 @@ def _random(data: bytes, rng: np.random.Generator) -> bytes:
             break
         # headers matter more than what they head
         place = int(rng.integers(0, min(len(found), 256 if rng.random() < 0.5 else len(found))))
-        size = int(rng.integers(1, 64))
-        how = int(rng.integers(5))
+        size, how = int(rng.integers(1, 64)), int(rng.integers(5))
         if how == 0:
             found[place] ^= 1 << int(rng.integers(8))
         elif how == 1:

@@ -85,9 +85,7 @@ def bead_solutions(
     inside = centres + 1e-9 * (centres[:, :] < 1e-9)
     passive = np.array([field.components[0](mesh(*point)) for point in inside])
     beads = np.array([[with_beads[c] if c >= 0 else 0.0 for c in motion[:3]] for motion in column])
-    return BeadSolutions(
-        centres=centres, beads=beads, passive=passive, elements=mesh.ne, unknowns=plain.shape[1]
-    )  # fmt: skip
+    return BeadSolutions(centres=centres, beads=beads, passive=passive, elements=mesh.ne, unknowns=plain.shape[1])
 
 
 def _mesh(centres: Points, radius_mm: float, disc_mm: float, reach_mm: float, fineness: float) -> Any:
@@ -113,16 +111,12 @@ def _mesh(centres: Points, radius_mm: float, disc_mm: float, reach_mm: float, fi
                 bead.faces.Min(way).name = name
         bead.solids.name, bead.maxh = f"bead{number}", radius_mm
         beads.append(bead)
-    return ng.Mesh(
-        OCCGeometry(Glue([block, near, disc, *beads])).GenerateMesh(
-            maxh=12, grading=0.3, curvaturesafety=fineness, segmentsperedge=1, optsteps3d=2
-        )
-    )
+    glued = OCCGeometry(Glue([block, near, disc, *beads]))
+    wanted = {"maxh": 12, "grading": 0.3, "curvaturesafety": fineness, "segmentsperedge": 1, "optsteps3d": 2}
+    return ng.Mesh(glued.GenerateMesh(**wanted))
 
 
-def _system(
-    mesh: Any, both: Any, presses: Any, disc_mm: float, poisson_ratio: float, squeezed: str
-) -> tuple[Any, Any, Any]:
+def _system(mesh: Any, both: Any, presses: Any, disc_mm: float, poisson_ratio: float, squeezed: str) -> Any:
     """Return matrix, load (1 N over the whole disc) and what is taken off the pressure block.
 
     ``squeezed`` names the solids whose volume gives way to pressure: a rigid bead's doesn't.
@@ -192,10 +186,8 @@ def _solve(matrix: Any, load: np.ndarray, soft: Any, tied: Any) -> np.ndarray:
 
     true, force = (tied.T @ matrix @ tied).tocsr(), tied.T @ load
     softened = (true - tied.T @ soft @ tied).tocoo()
-    size = len(force)
-    given = la.SparseMatrixd.CreateFromCOO(
-        softened.row.astype(np.int32), softened.col.astype(np.int32), softened.data, size, size
-    )
+    size, (row, column) = len(force), (part.astype(np.int32) for part in (softened.row, softened.col))
+    given = la.SparseMatrixd.CreateFromCOO(row, column, softened.data, size, size)
     inverse = given.Inverse(inverse="sparsecholesky")
     step, wrong, answer = given.CreateColVector(), given.CreateColVector(), np.zeros(size)
     for _ in range(20):
@@ -232,7 +224,8 @@ DIRECTIONS = {"along z": (0, 0, 1), "along x": (1, 0, 0)}
 def measure(quick: bool) -> list[dict[str, Any]]:
     """Return the rows: resolved beads against closed forms, then all beads; the quick form resolves 4 beads."""
     sensor = Sensor(load_scene("kamiyama_pillar", overrides=SCENE))
-    rows = [_resolved_row(sensor, *case) for case in (RESOLVED[:1] if quick else RESOLVED)]
+    what = "Resolved beads next to the pillar, change of their motion in % of the largest displacement"
+    rows = [{"what": what, **_resolved(sensor, *case)} for case in (RESOLVED[:1] if quick else RESOLVED)]
     for direction, force in DIRECTIONS.items():
         rows.append(_all_beads_row(sensor, direction, force))
     if quick:
@@ -241,17 +234,18 @@ def measure(quick: bool) -> list[dict[str, Any]]:
     return rows + _face_rows(sensor) + [_pitch_row(pitch) for pitch in PITCHES_MM] + [_option_row()]
 
 
-def _resolved_row(sensor: Sensor, reach_mm: float, order: int, fineness: float) -> dict[str, Any]:
-    clock = Clock()
-    solved = bead_solutions(_centres(sensor), RADIUS_MM, PILLAR_MM, reach_mm, order, fineness)
-    seconds = clock.lap().cpu
-    whole, found = _mirrored(solved.centres)
-    motion = _closed(sensor, whole, (0, 0, 1), rounds=2)
-    modulus = sensor.actual.scene.material.youngs_modulus_mpa
+def _resolved(sensor: Sensor, reach_mm: float, order: int, fineness: float, rounds: int = 2) -> dict[str, Any]:
+    rubber, clock = sensor.actual.scene.material, Clock()
+    centres = _centres(sensor)
+    solved = bead_solutions(centres, RADIUS_MM, PILLAR_MM, reach_mm, order, fineness, rubber.poisson_ratio)
+    seconds, modulus = clock.lap().cpu, rubber.youngs_modulus_mpa
+    quarters = np.concatenate([solved.centres * [a, b, 1] for a in (1, -1) for b in (1, -1)])
+    whole = np.unique(quarters.round(9), axis=0)
+    found = [int(np.abs(whole - centre).sum(axis=1).argmin()) for centre in solved.centres]
+    motion = _closed(sensor, whole, (0, 0, 1), rounds)
     largest = _largest(motion.passive)
     change, closed = (solved.beads - solved.passive) / modulus, motion.change[found]
     return {
-        "what": "Resolved beads next to the pillar, change of their motion in % of the largest displacement",
         "beads": len(whole),
         "order": order,
         "elements": solved.elements,
@@ -293,19 +287,10 @@ def _all_beads_row(sensor: Sensor, direction: str, force: tuple[float, float, fl
 def _softer_row(poisson_ratio: float) -> dict[str, Any]:
     """Compare the option with resolved beads in rubber that gives way to pressure."""
     sensor = Sensor(load_scene("kamiyama_pillar", overrides={**SCENE, "material.poisson_ratio": poisson_ratio}))
-    reach_mm, order, fineness = RESOLVED[1]
-    solved = bead_solutions(_centres(sensor), RADIUS_MM, PILLAR_MM, reach_mm, order, fineness, poisson_ratio)
-    whole, found = _mirrored(solved.centres)
-    motion = _closed(sensor, whole, (0, 0, 1), rounds=1)
-    change, largest = solved.beads - solved.passive, _largest(motion.passive)
-    closed = motion.change[found]
-    return {
-        "what": "The closed form below Poisson's ratio 1/2: 4 resolved beads, in % of the largest displacement",
-        "Poisson's ratio": poisson_ratio,
-        "finite elements, %": 100 * _largest(change) / largest,
-        "closed form, %": 100 * _largest(closed) / largest,
-        "largest difference, %": 100 * _largest(change - closed) / largest,
-    }
+    what = "The closed form below Poisson's ratio 1/2: 4 resolved beads, in % of the largest displacement"
+    found = _resolved(sensor, *RESOLVED[1], rounds=1)
+    kept = {key: found[key] for key in ("finite elements, %", "closed form, %", "largest difference, %")}
+    return {"what": what, "Poisson's ratio": poisson_ratio, **kept}
 
 
 def _face_rows(sensor: Sensor) -> list[dict[str, Any]]:
@@ -362,24 +347,16 @@ def _option_row() -> dict[str, Any]:
     }
 
 
-def _mirrored(quarter: Points) -> tuple[Points, list[int]]:
-    """Return the (n, 3) beads of all four quarters, and where those of one stand among them."""
-    whole = np.unique(np.concatenate([quarter * [a, b, 1] for a in (1, -1) for b in (1, -1)]).round(9), axis=0)
-    return whole, [int(np.abs(whole - centre).sum(axis=1).argmin()) for centre in quarter]
-
-
 def _centres(sensor: Sensor) -> Points:
     """Return the (n, 3) places of the beads as designed."""
     return sensor.nominal_markers.points
 
 
 def _closed(sensor: Sensor, centres: Points, force: tuple[float, float, float], rounds: int) -> BeadMotion:
-    load = _load(sensor, force)
+    given = {"load": _load(sensor, force)}
     body: Compliance = sensor.compliance
-    shear = sensor.actual.scene.material.youngs_modulus_mpa / 3
-    return bead_motion(
-        lambda p: body.displacement(p, load), lambda p: body.gradient(p, load), centres, RADIUS_MM, shear, rounds
-    )
+    moved, slopes = (partial(each, **given) for each in (body.displacement, body.gradient))
+    return bead_motion(moved, slopes, centres, RADIUS_MM, sensor.actual.scene.material.youngs_modulus_mpa / 3, rounds)
 
 
 def _load(sensor: Sensor, force: tuple[float, float, float]) -> Rectangles:

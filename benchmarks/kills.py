@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,26 +81,24 @@ def kept(folder: Path, job: Job) -> dict[str, str]:
 
 def torn(folder: Path) -> list[str]:
     """Return the files under their own names that can't be read whole."""
-    import numpy as np
     import pyarrow.parquet as pq
-    from PIL import Image
 
+    from twin.errors import TwinError
+    from twin.files import read_arrays
+    from twin.study.frames import read_picture
+
+    readers: dict[str, Callable[[Path], object]] = {
+        ".png": read_picture,
+        ".npz": read_arrays,
+        ".parquet": pq.read_table,
+        ".json": lambda path: json.loads(path.read_text()),
+        ".html": lambda path: path.read_text().rstrip().rindex("</html>", -7),
+    }
     bad = []
-    for path in sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")):
+    for path in sorted(p for p in folder.rglob("*") if p.suffix in readers and not p.name.startswith(".")):
         try:
-            if path.suffix == ".png":
-                with Image.open(path) as picture:
-                    picture.load()
-            elif path.suffix == ".npz":
-                with np.load(path, allow_pickle=False) as arrays:
-                    [arrays[name] for name in arrays.files]
-            elif path.suffix == ".parquet":
-                pq.read_table(path)
-            elif path.suffix == ".json":
-                json.loads(path.read_text())
-            elif path.suffix == ".html" and not path.read_text().rstrip().endswith("</html>"):
-                bad.append(path.name)
-        except (OSError, ValueError, SyntaxError) as problem:
+            readers[path.suffix](path)
+        except (OSError, ValueError, TwinError) as problem:
             bad.append(f"{path.name}: {problem}")
     return bad
 
@@ -150,26 +149,20 @@ def _compare(folder: Path, job: Job, out: str, wanted: dict[str, str], name: str
     shutil.rmtree(folder / out)
 
 
-def added(before: list[dict[str, Any]], rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows with those of earlier rounds added: counts in all, the seconds of the last round."""
-    earlier = {row["command"]: row for row in before}
-    counts = ("killed", "ended before", "lost or torn")
-    return [
-        {**row, **{key: row.get(key, 0) + earlier.get(row["command"], {}).get(key, 0) for key in counts}}
-        for row in rows
-    ]
-
-
 def measure(*, count: Count = 50) -> int:
     """Kill so many jobs in all, print the rows and store them; exit code 1 if anything was lost or torn."""
     found: dict[str, Any] = {"rounds": 0, "rows": [], **read("kills")}
     while sum(row.get("killed", 0) for row in found["rows"]) < count:
+        earlier = {row["command"]: row for row in found["rows"]}
         try:
             rows = killed(list(JOBS), ROUND, seed=found["rounds"] + 1)
         except AssertionError as problem:
             print(problem, file=sys.stderr)
             return 1
-        found = {"rounds": found["rounds"] + 1, "machine": machine(), "rows": added(found["rows"], rows)}
+        for row in rows:  # counts in all, the seconds of the last round
+            for key in ("killed", "ended before", "lost or torn"):
+                row[key] = row.get(key, 0) + earlier.get(row["command"], {}).get(key, 0)
+        found = {"rounds": found["rounds"] + 1, "machine": machine(), "rows": rows}
         write("kills", found)
     print(table(found["rows"]))
     return 0

@@ -75,6 +75,14 @@ def measured_on(stage: str, cores: bool = False) -> str:
     return f"On {told['processor']}, {told['cores']} cores." if cores else f"On {told['processor']}."
 
 
+def grouped(rows: list[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
+    """Return rows by what some of their columns hold, in the order in which that comes."""
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups
+
+
 def titled(tables: Mapping[str, list[Row]]) -> str:
     """Return tables under bold titles; those without rows are left out."""
     return "\n\n".join(
@@ -166,18 +174,12 @@ def ways_in_short(rows: list[Row]) -> list[Row]:
     """Return one row for every body and way: CPU seconds of first and next loads, errors, and their estimates."""
     from benchmarks.reference import reference
 
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row["body"], row["way"]), []).append(row)
     short = []
-    for (body, way), cases in groups.items():
+    for (body, way), cases in grouped(rows, "body", "way").items():
         first, later = ([case["cpu_s"] for case in cases if case["load"] == which] for which in ("first", "next"))
-        told = [case["estimate"] / case["error"] for case in cases if "estimate" in case]
-        fair = [
-            case["estimate"] / (case["error"] + reference(body).case(case["case"]).own_error)
-            for case in cases
-            if "estimate" in case
-        ]
+        stated = [(case, reference(body).case(case["case"]).own_error) for case in cases if "estimate" in case]
+        told = [case["estimate"] / case["error"] for case, _ in stated]
+        fair = [case["estimate"] / (case["error"] + own) for case, own in stated]
         short.append(
             {
                 "body": body,
@@ -266,10 +268,7 @@ NO_ORDER = ("total force", "collinear residual")
 
 def series(rows: list[Row]) -> list[list[Row]]:
     """Return the rows of closed forms by case, Poisson's ratio and quantity."""
-    groups: dict[tuple[str, float, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row["case"], row["nu"], row["quantity"]), []).append(row)
-    return list(groups.values())
+    return list(grouped(rows, "case", "nu", "quantity").values())
 
 
 def order(rows: list[Row]) -> float:
@@ -358,17 +357,17 @@ GOAL_PX = 0.003
 
 def pictures_to_the_goal(rows: list[Row]) -> list[Row]:
     """Return one row for every scene and method with shadows: CPU time to the goal, and over the splat's."""
-    out = []
-    for scene in dict.fromkeys(row["scene"] for row in rows if "centroid_rms_px" in row):
-        mine = [row for row in rows if row["scene"] == scene and row.get("shadows") is True]
-        needed = {}
-        for method in dict.fromkeys(row["method"] for row in mine):
-            runs = [(row["cpu_ms"], row["centroid_rms_px"]) for row in mine if row["method"] == method]
-            needed[method] = seconds_to(runs, GOAL_PX)
-        best = needed["twin, splat"]
-        for method, cost in needed.items():
-            out.append({"scene": scene, "method": method, "CPU ms": cost, "over the splat": cost / best})
-    return out
+    shaded = grouped([row for row in rows if row.get("shadows") is True], "scene", "method")
+    needed = {key: seconds_to(picture_runs(mine), GOAL_PX) for key, mine in shaded.items()}
+    return [
+        {"scene": scene, "method": method, "CPU ms": cost, "over the splat": cost / needed[scene, "twin, splat"]}
+        for (scene, method), cost in needed.items()
+    ]
+
+
+def picture_runs(rows: list[Row]) -> list[Run]:
+    """Return CPU ms and centroid error of pictures."""
+    return sorted((row["cpu_ms"], row["centroid_rms_px"]) for row in rows)
 
 
 def _picture() -> dict[str, str]:
@@ -389,10 +388,9 @@ def _draw_picture() -> None:
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     _, panels, save = chart("picture.png", nrows=1, ncols=len(scenes), figsize=(10, 4), sharey=True)
     for panel, scene in zip(np.atleast_1d(panels), scenes, strict=True):
-        mine = [row for row in rows if row["scene"] == scene]
-        for method, colour in zip(dict.fromkeys(row["method"] for row in mine), PALETTE, strict=False):
-            runs = sorted((row["cpu_ms"], row["centroid_rms_px"]) for row in mine if row["method"] == method)
-            panel.loglog(*zip(*runs, strict=True), "o-", color=colour, label=method)
+        methods = grouped([row for row in rows if row["scene"] == scene], "method")
+        for ((method,), mine), colour in zip(methods.items(), PALETTE, strict=False):
+            panel.loglog(*zip(*picture_runs(mine), strict=True), "o-", color=colour, label=method)
         panel.axhline(GOAL_PX, color="grey", lw=0.8)
         panel.set(title=scene, xlabel="CPU time of a picture, ms")
         shown = [t for t in (5, 10, 20, 50, 100, 200, 500) if panel.get_xlim()[0] <= t <= panel.get_xlim()[1]]
@@ -509,10 +507,11 @@ STAGES = ("contact", "elasticity", "optics", "CCD noise", "tracking", "inverse m
 
 def by_scene(rows: list[Row]) -> dict[str, dict[str, Row]]:
     """Return the rows of each stage of each scene, stages in the chain's order."""
-    scenes: dict[str, dict[str, Row]] = {}
-    for row in (row for row in rows if "stage" in row):
-        scenes.setdefault(row["scene"], {})[row["stage"]] = row
-    return {scene: {s: mine[s] for s in STAGES if s in mine} for scene, mine in scenes.items()}
+    scenes = grouped([row for row in rows if "stage" in row], "scene")
+    return {
+        scene: {row["stage"]: row for row in sorted(mine, key=lambda row: STAGES.index(row["stage"]))}
+        for (scene,), mine in scenes.items()
+    }
 
 
 def part_of_error(row: Row) -> float:
@@ -588,10 +587,10 @@ def _dataset() -> dict[str, str]:
 
 def _inclusions() -> dict[str, str]:
     """Return a titled table for every kind of row, and the machine."""
-    rows = stored("inclusions")
-    kinds: dict[str, list[Row]] = {}
-    for row in rows:
-        kinds.setdefault(row["what"], []).append({key: value for key, value in row.items() if key != "what"})
+    kinds = {
+        what: [{key: value for key, value in row.items() if key != "what"} for row in rows]
+        for (what,), rows in grouped(stored("inclusions"), "what").items()
+    }
     return {"results": f"\n{titled(kinds)}\n\n{measured_on('inclusions', cores=True)}\n"}
 
 
@@ -600,53 +599,39 @@ NEAR = 0.7
 
 
 def _stability() -> dict[str, str]:
-    names = ("random_scenes", "fuzz", "kills", "endurance")
     bodies: list[Row] = []
     compared = [row for row in stored("random_bodies") if "off" in row]
     for row in compared:
         off, stated = row["off"], row["stated"]
         what = max(("force", "indentation"), key=stated.__getitem__)
-        share = off[what] / stated[what], off["traction"] / stated["traction"]
-        if max(share) > NEAR:
-            bodies.append({"case": f"{row['number']}: {row['what']}", "of the": what, "stated": stated[what],
-                           "off": off[what], "tractions stated": stated["traction"],
-                           "tractions off": off["traction"]})  # fmt: skip
-    title = (
-        f"The {len(bodies)} of {len(compared)} of the second series that are off by over {NEAR:g} times what is stated"
-    )
-    return {
-        "bodies": f"\n{folded(title, table(bodies))}\n\n",
-        "results": "\n".join(["", *(_long_run(name, read(name)) for name in names)]),
+        shown = {"case": f"{row['number']}: {row['what']}", "of the": what, "stated": stated[what], "off": off[what]}
+        if max(off[what] / stated[what], off["traction"] / stated["traction"]) > NEAR:
+            bodies.append({**shown, "tractions stated": stated["traction"], "tractions off": off["traction"]})
+    title = f"The {len(bodies)} of {len(compared)} of the second series that are off by over {NEAR:g} times"
+    parts = []
+    for kind, words in (("valid", "Random valid scenes"), ("invalid", "Random spoilt recipes")):
+        mine = read("random_scenes")[kind]
+        rows = [{"what became of it": what, "scenes": n} for what, n in mine["outcomes"].items()]
+        largest = [{"what": what, "largest": size} for what, size in mine["worst"].items()]
+        counts = f"{mine['drawn']} drawn, {mine['outcomes'].get('failed', 0)} failed"
+        heading = f"{words}: {counts}, {mine['cpu_s']:.0f} CPU s, the slowest {mine['slowest_s']:.3g} s"
+        parts.append(folded(heading, "\n\n".join(table(each) for each in (rows, largest) if each)))
+    sums = {name: Counter[str]() for name in ("fuzz", "kills")}
+    for name, keys in (("fuzz", ("attempts", "failed")), ("kills", ("killed", "lost or torn"))):
+        for row in stored(name):
+            sums[name].update({key: row.get(key, 0) for key in keys})
+    fuzz, kills, lasted = sums["fuzz"], sums["kills"], read("endurance")
+    tried = f"{fuzz['attempts']} attempts on {len(stored('fuzz'))} readers, {fuzz['failed']} failed"
+    headings = {
+        "fuzz": f"Damaged and hostile files: {tried}",
+        "kills": f"Killed at {kills['killed']} random moments: {kills['lost or torn']} files lost or torn",
+        "endurance": f"{lasted['minutes']:.0f} minutes of mixed work in one process, {lasted['rounds']} rounds",
     }
-
-
-def _long_run(name: str, found: Row) -> str:
-    """Return the heading and tables of a long run."""
-    if name == "random_scenes":
-        parts = []
-        for kind, words in (("valid", "Random valid scenes"), ("invalid", "Random spoilt recipes")):
-            mine = found[kind]
-            rows: list[Row] = [{"what became of it": what, "scenes": n} for what, n in mine["outcomes"].items()]
-            title = (
-                f"{words}: {mine['drawn']} drawn, {mine['outcomes'].get('failed', 0)} failed, "
-                f"{mine['cpu_s']:.0f} CPU s, the slowest {mine['slowest_s']:.3g} s"
-            )
-            largest = [{"what": what, "largest": size} for what, size in mine["worst"].items()]
-            parts.append(folded(title, "\n\n".join(table(shown) for shown in (rows, largest) if shown)) + "\n")
-        return "\n".join(parts)
-    rows = found["rows"]
-
-    def total(key: str) -> int:
-        return sum(row.get(key, 0) for row in rows)
-
-    heading = {
-        "fuzz": lambda: (
-            f"Damaged and hostile files: {total('attempts')} attempts on {len(rows)} readers, {total('failed')} failed"
-        ),
-        "kills": lambda: f"Killed at {total('killed')} random moments: {total('lost or torn')} files lost or torn",
-        "endurance": lambda: f"{found['minutes']:.0f} minutes of mixed work in one process, {found['rounds']} rounds",
-    }[name]()
-    return f"{folded(heading, table(rows))}\n"
+    parts += [folded(heading, table(stored(name))) for name, heading in headings.items()]
+    return {
+        "bodies": f"\n{folded(f'{title} what is stated', table(bodies))}\n\n",
+        "results": "\n".join(["", *(f"{part}\n" for part in parts)]),
+    }
 
 
 # wrong lines
@@ -655,10 +640,9 @@ def _long_run(name: str, found: Row) -> str:
 def _trust() -> dict[str, str]:
     """Return how many wrong lines of each folder the quick tests caught, and every survivor."""
     rows = stored("mutation")
-    wings = {wing: [row for row in rows if row["wing"] == wing] for wing in sorted({row["wing"] for row in rows})}
     counts = [
         {"folder": f"twin/{wing}", "planted": len(mine), "caught": sum(bool(row["caught by"]) for row in mine)}
-        for wing, mine in wings.items()
+        for (wing,), mine in sorted(grouped(rows, "wing").items())
     ]
     caught = sum(row["caught"] for row in counts)
     survivors = [

@@ -37,7 +37,7 @@ from benchmarks.clock import Clock, Cost, empty_cache
 from benchmarks.elasticity import compliance, warm_up
 from benchmarks.reference import BODIES, YOUNGS_MODULUS_MPA, reference
 from twin.arrays import Floats, Points
-from twin.world.mesh.elements import signed_volumes
+from twin.world.mesh.elements import quadrature, shapes, signed_volumes
 from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.sizing import WORLD, Level
@@ -158,14 +158,13 @@ class Problem:
         return np.asarray((1 - share) * fields[0] + share * fields[1])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Answers:
-    """Displacements (n, 3) in mm under both loads, unknowns, and the costs from the ready mesh, first and next load."""
+    """Unknowns, the costs from the ready mesh of the first and the next load, and (n, 3) displacements of both, mm."""
 
     unknowns: int
-    first: Cost
-    next: Cost
-    moved: tuple[Points, Points]
+    costs: list[Cost]
+    moved: list[Points]
 
 
 def traction(body: str, places: Points) -> Floats:
@@ -175,23 +174,14 @@ def traction(body: str, places: Points) -> Floats:
     return np.asarray(np.maximum(0.0, 1.0 - np.sum((places / BUMP_MM) ** 2, axis=1)) ** 2)
 
 
-_A, _B = (6 - np.sqrt(15)) / 21, (6 + np.sqrt(15)) / 21
-PLACES = np.array([[1 / 3, 1 / 3], *[[a, b] for s in (_A, _B) for a, b in ((s, s), (1 - 2 * s, s), (s, 1 - 2 * s))]])
-WEIGHTS = np.array([9 / 80] + [(155 - np.sqrt(15)) / 2400] * 3 + [(155 + np.sqrt(15)) / 2400] * 3)
-"""Points (7, 2) and weights (7,) that integrate polynomials of degree 5 over the unit triangle (J. Radon 1948)."""
-
-
 def nodal_shares(body: str, mesh: Mesh) -> Floats:
     """Return the (N,) forces on the nodes of quadratic elements that a total of 1 N makes, N."""
     faces = mesh.faces[mesh.piece == 0]
-    a, b = PLACES.T
-    c = 1.0 - a - b
-    shape = np.stack([c * (2 * c - 1), a * (2 * a - 1), b * (2 * b - 1), 4 * a * c, 4 * a * b, 4 * b * c], axis=1)
-    along_a = np.stack([1 - 4 * c, 4 * a - 1, 0 * a, 4 * (c - a), 4 * b, -4 * b], axis=1)
-    along_b = np.stack([1 - 4 * c, 0 * a, 4 * b - 1, -4 * a, 4 * a, 4 * (c - b)], axis=1)
+    at, weights = quadrature(2)
+    shape, slope = shapes(at)
     nodes = mesh.points[faces]
-    places, one, two = (np.einsum("qa,fai->fqi", table, nodes) for table in (shape, along_a, along_b))
-    area = np.linalg.norm(np.cross(one, two), axis=2) * WEIGHTS
+    places, one, two = (np.einsum("qa,fai->fqi", table, nodes) for table in (shape, slope[:, :, 0], slope[:, :, 1]))
+    area = np.linalg.norm(np.cross(one, two), axis=2) * weights
     strength = traction(body, places.reshape(-1, 3)).reshape(area.shape) * area
     out = np.bincount(faces.ravel(), (strength @ shape).ravel(), len(mesh.points))
     return np.asarray(out / out.sum())
@@ -209,8 +199,7 @@ def calculix_answers(mesh: Mesh, problem: Problem) -> Answers:
     """Solve both loads of a problem, each a run of its own; the clock runs from the written deck."""
     shares = nodal_shares(problem.body, mesh)
     held = np.flatnonzero(mesh.nodes_on([mesh.piece.max()]))
-    moved: list[Points] = []
-    costs: list[Cost] = []
+    moved, costs = [], []
     with tempfile.TemporaryDirectory(prefix="ccx-") as folder:
         for axis in problem.axes:
             name = Path(folder) / f"load{axis}"
@@ -224,11 +213,9 @@ def calculix_answers(mesh: Mesh, problem: Problem) -> Answers:
             rows = np.array([line.split() for line in lines if len(line.split()) == 4], float)
             nodal = np.zeros((len(mesh.points), 3))
             nodal[rows[:, 0].astype(int) - 1] = rows[:, 1:]
-            moved.append(np.asarray(Locator(mesh).locate(problem.points).values(nodal)))
+            moved.append(Locator(mesh).locate(problem.points).values(nodal))
             costs.append(clock.lap())
-    return Answers(
-        unknowns=3 * (len(mesh.points) - len(held)), first=costs[0], next=costs[1], moved=(moved[0], moved[1])
-    )
+    return Answers(3 * (len(mesh.points) - len(held)), costs, moved)
 
 
 def _deck(mesh: Mesh, problem: Problem, shares: Floats, axis: int, held: np.ndarray) -> str:
@@ -252,21 +239,21 @@ def ngsolve_answers(mesh: Any, problem: Problem, *, order: int, mixed: bool, cor
     """Solve both loads of a problem on a mesh curved to ``order``; the clock runs from the ready mesh."""
     import ngsolve as ng
 
+    moved, costs = [], []
     ng.SetNumThreads(cores)
     with nullcontext() if cores == 1 else ng.TaskManager():
         clock = Clock()
-        form, space = _form(ng, mesh, problem, order, mixed)
+        form = _form(ng, mesh, problem, order, mixed)
         form.Assemble()
-        free = space.FreeDofs(form.condense)
+        free = form.space.FreeDofs(form.condense)
         inverse = form.mat.Inverse(free, inverse="sparsecholesky")
-        first = _solved(ng, mesh, problem, 0, form, space, inverse, mixed)
-        costs = [clock.lap()]
-        second = _solved(ng, mesh, problem, 1, form, space, inverse, mixed)
-        costs.append(clock.lap())
-    return Answers(unknowns=sum(free), first=costs[0], next=costs[1], moved=(first, second))
+        for axis in problem.axes:
+            moved.append(_solved(ng, problem, axis, form, inverse, mixed))
+            costs.append(clock.lap())
+    return Answers(sum(free), costs, moved)
 
 
-def _form(ng: Any, mesh: Any, problem: Problem, order: int, mixed: bool) -> tuple[Any, Any]:
+def _form(ng: Any, mesh: Any, problem: Problem, order: int, mixed: bool) -> Any:
     shear = problem.youngs_modulus_mpa / (2 * (1 + problem.nu))
     moves = ng.VectorH1(mesh, order=order, dirichlet="held")
     if mixed:
@@ -284,14 +271,12 @@ def _form(ng: Any, mesh: Any, problem: Problem, order: int, mixed: bool) -> tupl
         energy += 2 * shear * problem.nu / (1 - 2 * problem.nu) * ng.div(u) * ng.div(v)
     form = ng.BilinearForm(space, symmetric=True, condense=order >= 4)
     form += energy * ng.dx
-    return form, space
+    return form
 
 
-def _solved(
-    ng: Any, mesh: Any, problem: Problem, load: int, form: Any, space: Any, inverse: Any, mixed: bool
-) -> np.ndarray:
+def _solved(ng: Any, problem: Problem, axis: int, form: Any, inverse: Any, mixed: bool) -> Points:
+    space, mesh = form.space, form.space.mesh
     test = space.TestFunction()
-    axis = problem.axes[load]
     pushed = (test[0] if mixed else test)[axis]
     surface = ng.ds("load", bonus_intorder=0 if problem.body == "block" else 8)
     if problem.body == "block":
@@ -374,11 +359,9 @@ def ways() -> list[Way]:
                 name_all, all_cores = f"NGSolve, {cores} cores", partial(solve, cores=cores)
                 found.append(Way(program=name_all, element=name, nu=0.5, meshes=meshes, solve=all_cores, order=order))
         for order, meshes in ((1, "aefg"), (2, "aef"), (3, "abcde"), (4, "abcde")):
-            alone = partial(ngsolve_answers, order=order, mixed=False)
+            name, solve = f"P{order}", partial(ngsolve_answers, order=order, mixed=False)
             for nu in (0.49, 0.4999) if order < 3 else (0.49,):
-                found.append(
-                    Way(program="NGSolve", element=f"P{order}", nu=nu, meshes=meshes, solve=alone, order=order)
-                )
+                found.append(Way(program="NGSolve", element=name, nu=nu, meshes=meshes, solve=solve, order=order))
     if has_calculix():
         found.append(Way(program="CalculiX", element="P2 (C3D10)", nu=0.49, meshes="aef", solve=calculix_answers))
     return found
@@ -386,12 +369,11 @@ def ways() -> list[Way]:
 
 def peer_rows(body: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Yield a row for every way and mesh, and for every program that is absent."""
-    present = {"NGSolve": find_spec("ngsolve"), "CalculiX": has_calculix()}
-    if not present["NGSolve"]:  # the meshes of all peers are made by its mesher
+    if not find_spec("ngsolve"):  # the meshes of all peers are made by its mesher
         yield {"body": body, "program": "other programs", "remark": "not run: NGSolve, whose mesher is used, is absent"}
         return
-    for program in [name for name, there in present.items() if not there]:
-        yield {"body": body, "program": program, "remark": "not installed"}
+    if not has_calculix():
+        yield {"body": body, "program": "CalculiX", "remark": "not installed"}
     todo = ways()
     for name, edges in MESHES[body].items():
         if quick and name != "a":
@@ -431,33 +413,25 @@ def twin_rows(body: str, quick: bool) -> Iterator[dict[str, Any]]:
 
 
 def _twin_answers(problem: Problem, level: Level, table: bool) -> Answers:
-    truth, body = reference(problem.body), BODIES[problem.body]
-    cases = [truth.case(f"{key}_nu{problem.nu:g}") for key in KEYS[problem.body]]
+    moved, costs = [], []
     with empty_cache():
         stiff = compliance(problem.body, problem.nu, "subtracted", level, table)
         clock = Clock()
-        first = stiff.displacement(problem.points, cases[0].load(body))
-        costs = [clock.lap()]
-        second = stiff.displacement(problem.points, cases[1].load(body))
-        costs.append(clock.lap())
-        unknowns = 0 if table else stiff.mesh.unknowns
-    return Answers(unknowns=unknowns, first=costs[0], next=costs[1], moved=(first, second))
+        for key in KEYS[problem.body]:
+            case = reference(problem.body).case(f"{key}_nu{problem.nu:g}")
+            moved.append(stiff.displacement(problem.points, case.load(BODIES[problem.body])))
+            costs.append(clock.lap())
+        return Answers(0 if table else stiff.mesh.unknowns, costs, moved)
 
 
 def measured(problem: Problem, solve: Callable[[], Answers], quick: bool) -> dict[str, Any]:
     """Return unknowns, costs of the median run, and errors under both loads."""
     runs = [solve()]
-    while len(runs) < (1 if quick or runs[0].first.cpu > LONG_S else REPEATS):
+    while len(runs) < (1 if quick or runs[0].costs[0].cpu > LONG_S else REPEATS):
         runs.append(solve())
-    middle = sorted(runs, key=lambda each: each.first.cpu)[len(runs) // 2]
+    middle = sorted(runs, key=lambda each: each.costs[0].cpu)[len(runs) // 2]
     errors = [reference(problem.body).errors(moved, problem.right(n))[0] for n, moved in enumerate(middle.moved)]
-    row = {
-        "unknowns": middle.unknowns,
-        "cpu_s": middle.first.cpu,
-        "wall_s": middle.first.wall,
-        "next_cpu_s": sorted(each.next.cpu for each in runs)[len(runs) // 2],
-        "error_z": errors[0],
-        "error_x": errors[1],
-    }
+    next_cpu_s = sorted(each.costs[1].cpu for each in runs)[len(runs) // 2]
     print(".", end="", flush=True, file=sys.stderr)
-    return row
+    row = {"unknowns": middle.unknowns, "cpu_s": middle.costs[0].cpu, "wall_s": middle.costs[0].wall}
+    return row | {"next_cpu_s": next_cpu_s, "error_z": errors[0], "error_x": errors[1]}

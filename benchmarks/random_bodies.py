@@ -9,7 +9,6 @@ is less) and on twice the patches, and prints how far the first answer is off be
 tractions, and displacements under the same load (None where both have the same mesh).
 """
 
-import contextlib
 import json
 import math
 import multiprocessing
@@ -19,7 +18,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -102,11 +101,10 @@ def object_corners(kind: str, rng: Random) -> Floats:
         inner = rng.uniform(0.2, 0.9)
         found = swept(np.array([[inner, -1.0], [1.0, -1.0], [1.0, 0.0], [inner, 0.0]]), count)
     elif kind == "rolled":
-        lengths = rng.uniform(0.3, 2.0)
-        ends = [np.column_stack([np.full(count, s), np.cos(np.linspace(0, 2 * np.pi, count, endpoint=False)),
-                                 np.sin(np.linspace(0, 2 * np.pi, count, endpoint=False))])
-                for s in (-lengths, lengths)]  # fmt: skip
-        return hull(np.concatenate(ends)) * size / 2.0
+        length, turn = rng.uniform(0.3, 2.0), np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+        ring = np.column_stack([0.0 * turn, np.cos(turn), np.sin(turn)])
+        along = np.array([length, 0.0, 0.0])
+        found = hull(np.concatenate([ring - along, ring + along]))
     elif kind == "screw":
         found = object_triangles("screw", 2.0)
     else:
@@ -119,13 +117,10 @@ def fillet_pad(rng: Random) -> tuple[Floats, float]:
     width, length, height = (float(v) for v in rng.uniform((12, 10, 3), (40, 30, 10)))
     fillet = float(rng.uniform(0.3, 0.9) * min(height, 0.35 * length, 4.0))
     turn = np.linspace(0.0, np.pi / 2.0, int(rng.integers(4, 14)))
-    points = [[width / 2 - fillet, length / 2 - fillet, 0.0]]
-    for tilt in turn[1:]:
-        for angle in turn:
-            points.append([width / 2 - fillet + fillet * np.sin(tilt) * np.cos(angle),
-                           length / 2 - fillet + fillet * np.sin(tilt) * np.sin(angle),
-                           fillet * (1.0 - np.cos(tilt))])  # fmt: skip
-    upper = np.array([p for p in points if p[2] > fillet * (1.0 - 1e-9)]) * [1, 1, 0] + [0, 0, height]
+    tilt, angle = (each.ravel() for each in np.meshgrid(turn, turn, indexing="ij"))
+    ball = np.column_stack([np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), 1.0 - np.cos(tilt)])
+    points = [width / 2 - fillet, length / 2 - fillet, 0.0] + fillet * ball
+    upper = points[tilt == turn[-1]] * [1, 1, 0] + [0, 0, height]
     quarter = np.vstack([points, upper])
     signs = np.array([[1, 1, 1], [1, -1, 1], [-1, 1, 1], [-1, -1, 1]])
     return hull((quarter[None] * signs[:, None]).reshape(-1, 3)), height
@@ -136,13 +131,13 @@ def cap(rng: Random) -> tuple[Floats, float]:
     radius = float(rng.uniform(6, 25))
     height = float(radius * rng.uniform(0.4, 0.9))
     rings = int(rng.integers(8, 30))
-    points = [[0.0, 0.0, 0.0]]
+    points = [np.zeros((1, 3))]
     for ring in range(1, rings + 1):
         tilt = math.acos(1.0 - height / radius) * ring / rings
         angle = 2.0 * np.pi * (np.arange(6 * ring) + ring % 2 / 2) / (6 * ring)
-        points += [[radius * math.sin(tilt) * math.cos(a), radius * math.sin(tilt) * math.sin(a),
-                    radius * (1.0 - math.cos(tilt))] for a in angle]  # fmt: skip
-    return hull(np.array(points) * [1.0, rng.uniform(0.7, 1.3), 1.0]), height
+        around = math.sin(tilt) * np.column_stack([np.cos(angle), np.sin(angle)])
+        points.append(radius * np.insert(around, 2, 1.0 - math.cos(tilt), axis=1))
+    return hull(np.concatenate(points) * [1.0, rng.uniform(0.7, 1.3), 1.0]), height
 
 
 def bracket(rng: Random) -> tuple[Floats, float]:
@@ -180,26 +175,18 @@ def drawn_body(kind: str, rng: Random, folder: Path) -> tuple[Table, float, floa
         radius, barrel, skirt = (float(v) for v in rng.uniform((4, 5, 1), (15, 25, 6)))
         made = {"shape": "finger", "radius_mm": radius, "barrel_mm": barrel, "skirt_mm": skirt}
         return made, 0.5 * radius, radius + skirt
-    within = 5.0
+    within, lift = {"pad": 60.0, "cap": 85.0, "wedge": 2.0}.get(kind, 5.0), 0.0
     if kind == "pad":
         corners, height = fillet_pad(rng)
-        within = 60.0
     elif kind == "cap":
         corners, height = cap(rng)
-        within = 85.0
     elif kind == "bracket":
         corners, height = bracket(rng)
     elif kind == "wedge":
         a, b, height, slope = (float(v) for v in rng.uniform((8, 6, 4, -12), (20, 15, 10, 12)))
         lift = math.tan(math.radians(slope))
         square = np.array([[x, y, 0.0] for x in (-a, a) for y in (-b, b)])
-        top = square.copy()
-        top[:, 2] = height + a * abs(lift) + lift * square[:, 0]
-        corners = hull(np.vstack([square, top]))
-        held = {"normal": [-lift, 0.0, 1.0], "within_deg": 5.0}
-        file = write_stl(folder / "body.stl", corners)
-        sensing = {"normal": [0.0, 0.0, -1.0], "within_deg": 2.0}
-        return {"shape": "solid", "file": file, "held": held, "sensing": sensing}, min(a, b), height
+        corners = hull(np.vstack([square, square + np.outer(height + a * abs(lift) + lift * square[:, 0], [0, 0, 1])]))
     else:  # a tower of many sides, narrower above
         sides, height = int(rng.integers(5, 40)), float(rng.uniform(10, 40))
         angle, radius = 2.0 * np.pi * np.arange(sides) / sides, float(rng.uniform(4, 12))
@@ -207,8 +194,9 @@ def drawn_body(kind: str, rng: Random, folder: Path) -> tuple[Table, float, floa
         corners = hull(np.vstack([ring, ring * rng.uniform(0.8, 1.3) + [0, 0, height]]))
     half = float(0.5 * np.ptp(corners[..., :2][corners[..., 2] < 0.3 * height], axis=0).min())
     made = {"shape": "solid", "file": write_stl(folder / "body.stl", corners)}
-    made |= {"held": {"normal": [0.0, 0.0, 1.0], "within_deg": 5.0}}
-    return made | {"sensing": {"normal": [0.0, 0.0, -1.0], "within_deg": within}}, half, height
+    made["held"] = {"normal": [-lift, 0.0, 1.0], "within_deg": 5.0}
+    made["sensing"] = {"normal": [0.0, 0.0, -1.0], "within_deg": within}
+    return made, half, height
 
 
 def drawn_press(kind: str, rng: Random, folder: Path, half: float, height: float, modulus: float) -> Table:
@@ -252,10 +240,10 @@ def drawn(number: int, folder: Path) -> tuple[str, Table]:
     modulus, nu = float(10 ** rng.uniform(-1, 0.5)), float(rng.choice([0.3, 0.4, 0.49, 0.5]))
     made, half, height = drawn_body(body, rng, folder)
     press = drawn_press(probe, rng, folder, half, height, modulus)
-    recipe = {"seed": 1, "body": made, "material": {"youngs_modulus_mpa": modulus, "poisson_ratio": nu},
-              "press": press, "accuracy": {"displacement": float(rng.choice([1e-2, 2e-2])), "contact_patches": 12},
-              "tolerance": {"preset": "none"}}  # fmt: skip
-    return f"{probe} on {body}", recipe
+    accuracy = {"displacement": float(rng.choice([1e-2, 2e-2])), "contact_patches": 12}
+    material = {"youngs_modulus_mpa": modulus, "poisson_ratio": nu}
+    recipe = {"seed": 1, "body": made, "material": material, "press": press, "accuracy": accuracy}
+    return f"{probe} on {body}", recipe | {"tolerance": {"preset": "none"}}
 
 
 def points_under(body: Body, state: ContactState) -> Points:
@@ -324,59 +312,57 @@ def finer_recipe(recipe: Table, stated: float) -> Table:
 
     A third of what is asked alone would leave many a body its mesh, and each answer would be compared with itself.
     """
-    accuracy = recipe["accuracy"]
-    return {**recipe, "accuracy": {"displacement": max(LEAST, min(accuracy["displacement"], stated) / 3.0),
-                                   "contact_patches": 2 * accuracy["contact_patches"]}}  # fmt: skip
+    displacement, patches = recipe["accuracy"].values()
+    finer = max(LEAST, min(displacement, stated) / 3.0)
+    return {**recipe, "accuracy": {"displacement": finer, "contact_patches": 2 * patches}}
 
 
-def outcome(number: int, finer: bool) -> Iterator[dict[str, Any]]:
-    """Yield what became of a case; then, where it is to be solved ``finer``, the same with how far it was off."""
+def compared(one: dict[str, Any], load: Load, points: Points, finer: Table) -> dict[str, Any]:
+    """Solve a case on a finer recipe; return how far its answer was off."""
+    other, finer_load, _ = solved(finer, (load, points))
+    u, v = np.array(one["moved_mm"]), np.array(other["moved_mm"])
+    force = np.array(other["force_n"])
+    off = [
+        float(np.linalg.norm(np.subtract(one["force_n"], force)) / np.linalg.norm(force)),
+        abs(one["indentation_mm"] / other["indentation_mm"] - 1.0),
+        traction_change(finer_load, load),
+        float(np.abs(u - v).max() / np.abs(v).max()) if np.any(u != v) else None,
+    ]
+    return {"off": off, "finer_stated": other["stated"], "finer_cpu_s": other["cpu_s"]}
+
+
+def _child(number: int, finer: bool, send: Callable[[Table], None]) -> None:
+    """Send what becomes of a case: where it is to be solved ``finer``, before that and with how far it was off."""
+    resource.setrlimit(resource.RLIMIT_CPU, (MOST_S, resource.RLIM_INFINITY))
     with tempfile.TemporaryDirectory() as folder:
-        said: dict[str, Any] = {"number": number}
+        said: Table = {"number": number}
         try:
             said["what"], recipe = drawn(number, Path(folder))
             said |= {"body": recipe["body"], "press": recipe["press"], "material": recipe["material"]}
             one, load, points = solved(recipe)
             said |= {"result": "computed" if one["complete"] else "stopped"} | one | {"asked": recipe["accuracy"]}
             if finer and one["complete"]:
-                yield said
+                send(said)
                 resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time()) + FINER_S,) * 2)
-                other, finer_load, _ = solved(finer_recipe(recipe, one["stated"][3]), (load, points))
-                u, v = np.array(one["moved_mm"]), np.array(other["moved_mm"])
-                force = np.array(other["force_n"])
-                said["off"] = [
-                    float(np.linalg.norm(np.subtract(one["force_n"], force)) / np.linalg.norm(force)),
-                    abs(one["indentation_mm"] / other["indentation_mm"] - 1.0),
-                    traction_change(finer_load, load),
-                    float(np.abs(u - v).max() / np.abs(v).max()) if np.any(u != v) else None,
-                ]
-                said["finer_stated"], said["finer_cpu_s"] = other["stated"], other["cpu_s"]
+                said |= compared(one, load, points, finer_recipe(recipe, one["stated"][3]))
         except TwinError as refused:
             said |= {"result": "refused", "why": f"{type(refused).__name__}: {refused}"}
         except Exception as problem:
-            said |= {"result": "failed", "why": f"{type(problem).__name__}: {problem}",
-                     "trace": traceback.format_exc()}  # fmt: skip
-        yield said
+            said |= {"result": "failed", "why": f"{type(problem).__name__}: {problem}"}
+            said["trace"] = traceback.format_exc()
+        send(said)
 
 
-def _child(number: int, finer: bool, pipe: Any) -> None:
-    resource.setrlimit(resource.RLIMIT_CPU, (MOST_S, resource.RLIM_INFINITY))
-    for said in outcome(number, finer):
-        pipe.send(said)
-
-
-def judged(number: int, finer: bool) -> dict[str, Any]:
+def judged(number: int, finer: bool) -> Table:
     """Return what became of a case that runs in a process of its own, and is ended where it takes too long."""
-    ours, theirs = multiprocessing.Pipe(duplex=False)
-    process = multiprocessing.get_context("fork").Process(target=_child, args=(number, finer, theirs))
-    began = time.monotonic()
+    context = multiprocessing.get_context("fork")
+    queue, began = context.SimpleQueue(), time.monotonic()
+    process = context.Process(target=_child, args=(number, finer, queue.put))
     process.start()
-    theirs.close()
-    said: dict[str, Any] = {"number": number, "result": "failed", "why": f"died, or took over {MOST_S} CPU s"}
-    with contextlib.suppress(EOFError):
-        while True:
-            said = ours.recv()
     process.join()
+    said: Table = {"number": number, "result": "failed", "why": f"died, or took over {MOST_S} CPU s"}
+    while not queue.empty():
+        said = queue.get()
     return said | {"wall_s": time.monotonic() - began}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import peers
-from benchmarks.peers import BUMP_MM, PLACES, WEIGHTS, Edges, Problem, curved, netgen_mesh, nodal_shares
+from benchmarks.peers import BUMP_MM, Edges, Problem, curved, netgen_mesh, nodal_shares
 from benchmarks.reference import BODIES, reference
 from benchmarks.truth import FOLDER, Bricks, Quarter, half_space
 from twin.parts.load import Traction
@@ -17,16 +17,18 @@ from twin.theory import halfspace
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
 from twin.world.mesh.body_mesh import body_mesh
+from twin.world.mesh.elements import quadrature
 
 COARSE = Edges(ring=1.3, load=1.3, rim=25, far=25, grading=0.5)
 
 
-def test_quadrature_is_exact_to_degree_five():
-    for i, j in itertools.product(range(6), repeat=2):
-        if i + j > 5:
-            continue
-        exact = math.factorial(i) * math.factorial(j) / math.factorial(i + j + 2)
-        assert WEIGHTS @ (PLACES[:, 0] ** i * PLACES[:, 1] ** j) == pytest.approx(exact, rel=1e-12)
+@pytest.mark.parametrize("axes", [2, 3])
+def test_quadrature_is_exact_to_degree_five(axes):
+    places, weights = quadrature(axes)
+    for powers in itertools.product(range(6), repeat=axes):
+        if sum(powers) <= 5:
+            exact = math.prod(math.factorial(n) for n in powers) / math.factorial(sum(powers) + axes)
+            assert weights @ np.prod(places**powers, axis=1) == pytest.approx(exact, rel=1e-12)
 
 
 def test_nodal_forces_balance_the_bump():
