@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import Any, Literal
 
-from benchmarks.random_recipes import Table, bounds, nested_rules, put, slots
+from benchmarks.random_recipes import Table, bounds, put, rules_of, slots
 from benchmarks.random_scenes import Tally, assert_sound
 from twin.errors import TwinError
 from twin.parts.scene import Scene
@@ -103,10 +103,9 @@ def numbers(
     for slot in slots(scene):
         if slot.field is None or slot.path[0] in left:
             continue
-        rules = [*slot.field.metadata, *nested_rules(slot.field.annotation)]
         for inner, value in _leaves(slot.value):
             if type(value) in (int, float):
-                yield (*slot.path, *inner), [] if inner else rules, type(value)
+                yield (*slot.path, *inner), [] if inner else rules_of(slot.field), type(value)
 
 
 def _leaves(value: Any) -> Iterator[tuple[tuple[int, ...], Any]]:

@@ -10,7 +10,7 @@ import math
 import tomllib
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from random import Random
 from typing import Any, Literal
@@ -265,7 +265,7 @@ WORD = "neither a number nor a choice"
 
 def spoilt_values(slot: Slot) -> list[Any]:
     """Return values that the field of a slot can't hold, whatever else the recipe says."""
-    kinds = _plain_kinds(slot.field.annotation)
+    kinds = {kind for kind, _ in alternatives(slot.field.annotation)}
     wrong: list[Any] = []
     if not kinds & {str, dict, Part, object} or typing.get_origin(slot.field.annotation) is Literal:
         wrong.append(WORD)
@@ -273,7 +273,7 @@ def spoilt_values(slot: Slot) -> list[Any]:
         wrong.append({"unheard_of": 1})
     if not kinds & {tuple, object}:
         wrong.append([[[1]]])
-    rules = list(slot.field.metadata) + nested_rules(slot.field.annotation)
+    rules = rules_of(slot.field)
     low, high = bounds(rules)
     if kinds & {float, int} and not kinds & {object}:
         if slot.path[0] != "press" and not kinds & {int}:
@@ -284,27 +284,22 @@ def spoilt_values(slot: Slot) -> list[Any]:
     return wrong
 
 
-def _plain_kinds(annotation: Any) -> set[type]:
+def alternatives(annotation: Any, rules: typing.Sequence[Any] = ()) -> Iterator[tuple[type, list[Any]]]:
+    """Yield the kinds of value that an annotation takes, each with its rules."""
     origin, inside = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Annotated:
-        return _plain_kinds(inside[0])
-    if origin in (typing.Union, types.UnionType):
-        return set().union(*(_plain_kinds(each) for each in inside))
-    if origin is Literal:
-        return {str}
-    if origin in (tuple, dict):
-        return {origin}
-    if annotation is Any:
-        return {object}
-    return {Part} if isinstance(annotation, type) and issubclass(annotation, Part) else {annotation}
+        yield from alternatives(inside[0], [*rules, *_rules(inside[1:])])
+    elif origin in (typing.Union, types.UnionType):
+        for each in inside:
+            yield from alternatives(each, rules)
+    else:
+        plain = {Literal: str, tuple: tuple, dict: dict}.get(origin, object if annotation is Any else annotation)
+        yield (Part if issubclass(plain, Part) else plain), list(rules)
 
 
-def nested_rules(annotation: Any) -> list[Any]:
-    if typing.get_origin(annotation) is typing.Annotated:
-        return _rules(typing.get_args(annotation)[1:])
-    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        return [rule for each in typing.get_args(annotation) for rule in nested_rules(each)]
-    return []
+def rules_of(field: FieldInfo) -> list[Any]:
+    """Return the rules of a field, and of what it may hold."""
+    return [*field.metadata, *(rule for _, rules in alternatives(field.annotation) for rule in rules)]
 
 
 @dataclass(frozen=True)
