@@ -53,17 +53,9 @@ def way_rows(body: str, way: str, method: Method, level: Level, table: bool, qui
         moved = stiff.displacement(truth.points, load)
         cost = clock.lap()
         error, at_markers = truth.errors(moved, case.right)
-        row = {
-            "body": body,
-            "case": case.key,
-            "way": way,
-            "unknowns": 0 if table else stiff.mesh.unknowns,
-            "load": "first" if first else "next",
-            "wall_s": cost.wall,
-            "cpu_s": cost.cpu,
-            "error": error,
-            "marker_error": at_markers,
-        }
+        row = {"body": body, "case": case.key, "way": way, "unknowns": 0 if table else stiff.mesh.unknowns}
+        row |= {"load": "first" if first else "next", "wall_s": cost.wall, "cpu_s": cost.cpu}
+        row |= {"error": error, "marker_error": at_markers}
         if method == "subtracted":
             row["estimate"] = stiff.answer(truth.points, load)[1]
         rows.append(row)

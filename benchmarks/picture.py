@@ -58,7 +58,9 @@ def _ours(name: str, scene: Scene, markers: Ellipsoids, grids: tuple[int, ...]) 
                 cost, light = _timed(lambda: renderer.radiance(markers))  # noqa: B023
                 error = _centroids(light - cover, pixels, markers) - truth
                 off = renderer.outlines(markers, k).centroid_px - whole
-                row = _row(name, f"twin, {variant.name}", k, shadows, cost, error)
+                row = {"scene": name, "method": f"twin, {variant.name}", "k": k, "shadows": shadows, **cost}
+                row["centroid_rms_px"] = float(np.sqrt(np.mean(error**2)))
+                row["centroid_max_px"] = float(np.abs(error).max())
                 rows.append({**row, "outline_max_px": float(np.nanmax(np.abs(off)))})
     return rows
 
@@ -70,21 +72,8 @@ def _exposures(name: str, scene: Scene, markers: Ellipsoids, presets: tuple[str,
         ccd = Ccd.model_validate({"preset": preset})
         pattern = Pattern.drawn(ccd, (light.shape[0], light.shape[1]), np.random.default_rng(1))
         cost, _ = _timed(lambda: expose(light, ccd, np.random.default_rng(0), pattern))  # noqa: B023
-        rows.append({"scene": name, "method": f"ccd, {preset}", "milliseconds": cost[0], "cpu_ms": cost[1]})
+        rows.append({"scene": name, "method": f"ccd, {preset}", **cost})
     return rows
-
-
-def _row(name: str, method: str, k: int, shadows: bool, cost: tuple[float, float], error: np.ndarray) -> dict[str, Any]:
-    return {
-        "scene": name,
-        "method": method,
-        "k": k,
-        "shadows": shadows,
-        "milliseconds": cost[0],
-        "cpu_ms": cost[1],
-        "centroid_rms_px": float(np.sqrt(np.mean(error**2))),
-        "centroid_max_px": float(np.abs(error).max()),
-    }
 
 
 def _markers(scene: Scene) -> Ellipsoids:
@@ -110,10 +99,11 @@ def _centroids(light: np.ndarray, pixels: np.ndarray, markers: Ellipsoids, half:
     return found
 
 
-def _timed(work: Any) -> tuple[tuple[float, float], Any]:
+def _timed(work: Any) -> tuple[dict[str, float], Any]:
     """Return the least wall and CPU time of some runs after one that compiles, ms, and the result."""
     result = work()
     costs = repeated(work, REPEATS)
     while sum(cost.cpu for cost in costs) < AT_LEAST_S:
         costs += repeated(work, 1)
-    return (1000 * min(cost.wall for cost in costs), 1000 * min(cost.cpu for cost in costs)), result
+    wall, cpu = (1000 * min(getattr(cost, kind) for cost in costs) for kind in ("wall", "cpu"))
+    return {"milliseconds": wall, "cpu_ms": cpu}, result

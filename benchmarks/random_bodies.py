@@ -9,6 +9,7 @@ is less) and on twice the patches, and prints how far the first answer is off be
 tractions, and displacements under the same load (None where both have the same mesh).
 """
 
+import contextlib
 import json
 import math
 import multiprocessing
@@ -355,14 +356,16 @@ def _child(number: int, finer: bool, send: Callable[[Table], None]) -> None:
 
 def judged(number: int, finer: bool) -> Table:
     """Return what became of a case that runs in a process of its own, and is ended where it takes too long."""
-    context = multiprocessing.get_context("fork")
-    queue, began = context.SimpleQueue(), time.monotonic()
-    process = context.Process(target=_child, args=(number, finer, queue.put))
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    process = multiprocessing.get_context("fork").Process(target=_child, args=(number, finer, theirs.send))
+    began = time.monotonic()
     process.start()
-    process.join()
+    theirs.close()
     said: Table = {"number": number, "result": "failed", "why": f"died, or took over {MOST_S} CPU s"}
-    while not queue.empty():
-        said = queue.get()
+    with contextlib.suppress(EOFError):
+        while True:
+            said = ours.recv()
+    process.join()
     return said | {"wall_s": time.monotonic() - began}
 
 

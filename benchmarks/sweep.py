@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import twin
-from benchmarks.clock import Clock
+from benchmarks.clock import Clock, Cost
 from twin.arrays import Floats
 from twin.blas_threads import one_thread
 from twin.parts.scene import Scene
@@ -90,11 +90,9 @@ def _sweep(table: dict[str, Any], **changes: Any) -> tuple[Sweep, Scene]:
     return sweep, twin.load_scene(sweep.scene, sweep.set)
 
 
-def _rate(what: str, designs: int, cpu: float, wall: float) -> dict[str, Any]:
-    return {
-        "what": what, "designs": designs, "cpu_ms": 1e3 * cpu / designs, "wall_s": wall,
-        "designs_per_s": CORES * designs / cpu,
-    }  # fmt: skip
+def _rate(what: str, designs: int, cost: Cost) -> dict[str, Any]:
+    row = {"what": what, "designs": designs, "cpu_ms": 1e3 * cost.cpu / designs, "wall_s": cost.wall}
+    return row | {"designs_per_s": CORES * designs / cost.cpu}
 
 
 def _closed(count: int) -> dict[str, Any]:
@@ -103,8 +101,7 @@ def _closed(count: int) -> dict[str, Any]:
     with one_thread():
         clock = Clock()
         closed(designs)
-        cost = clock.lap()
-    return _rate("closed form", count, cost.cpu, cost.wall)
+        return _rate("closed form", count, clock.lap())
 
 
 PRESSED: dict[str, Any] = {**FLAT, "set": {}, "loads": {**FLAT["loads"], "presses": 5, "size_mm": 2.0}}
@@ -117,9 +114,7 @@ def _one_by_one(what: str, stage: str, count: int) -> dict[str, Any]:
         run_sweep(*_sweep(PRESSED, count=1, seed=2, fidelity=[stage], confirm={"full": 1}), Path(name))
         clock = Clock()
         done = run_sweep(*_sweep(PRESSED, count=count, fidelity=[stage], confirm={"full": count}), Path(name))
-        cost = clock.lap()
-    ok = max(int((done.status == "ok").sum()), 1)
-    return _rate(what, ok, cost.cpu, cost.wall)
+        return _rate(what, max(int((done.status == "ok").sum()), 1), clock.lap())
 
 
 def _whole(count: int) -> dict[str, Any]:
@@ -128,8 +123,7 @@ def _whole(count: int) -> dict[str, Any]:
         clock = Clock()
         done = run_sweep(*_sweep(PRESSED, count=count, fidelity=["closed", "linear"]), Path(name), workers=CORES)
         write_report(done, Path(name))
-        cost = clock.lap()
-    return _rate("closed form, linear information and page, two processes", count, cost.cpu, cost.wall)
+        return _rate("closed form, linear information and page, two processes", count, clock.lap())
 
 
 def ranked(name: str, count: int, workers: int = 1) -> dict[str, dict[str, Any]]:

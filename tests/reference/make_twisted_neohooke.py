@@ -18,10 +18,9 @@ from pathlib import Path
 
 import ngsolve as ng
 import numpy as np
-from make_neohooke import meshed
-from netgen.occ import MoveTo
+from make_neohooke import RADIUS, THICK, box, meshed, newton
 
-BALL, RADIUS, THICK, REACH = 3.0, 47.5, 40.0, 1.7
+BALL, REACH = 3.0, 1.7
 SHEAR, PENALTY, SPRING = 1.0 / 3.0, 4000.0, 1000.0
 FORCE, FRICTION, TURNS = 1.5, 0.5, (0.06, 0.12, 0.25)
 RADII = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.25, 3.0, 4.5, 6.0, 9.0)
@@ -31,12 +30,6 @@ ORDER = 3
 
 def slab(fine):
     """The half section (r, depth), elements small under the sphere."""
-
-    def box(width, depth, size):
-        face = MoveTo(0, 0).Line(width).Rotate(90).Line(depth).Rotate(90).Line(width).Close().Face()
-        face.faces.maxh = size
-        return face
-
     whole = box(RADIUS, THICK, 6.0)
     near = box(3.0 * REACH, 3.0 * REACH, 0.4 * REACH * fine)
     inner = box(1.1 * REACH, 0.35 * REACH, 0.05 * REACH * fine)
@@ -114,31 +107,6 @@ class Sphere:
         u, t, _, d = self.state.components
         return u, t, float(d.vec[0])
 
-    def newton(self, tolerance):
-        right, step, old = (self.state.vec.CreateVector() for _ in range(3))
-        free = np.array(list(self.space.FreeDofs()), bool)
-
-        def left():
-            self.form.Apply(self.state.vec, right)
-            return float(np.linalg.norm(np.array(right.FV().NumPy())[free]))
-
-        size = left()
-        for _ in range(80):
-            self.form.AssembleLinearization(self.state.vec)
-            self.form.Apply(self.state.vec, right)
-            step.data = self.form.mat.Inverse(self.space.FreeDofs(), inverse="umfpack") * right
-            old.data, share = self.state.vec, 1.0
-            for _ in range(10):
-                self.state.vec.data = old - share * step
-                now = left()
-                if now < max(1.2 * size, tolerance):
-                    break
-                share /= 2.0
-            size = now
-            if size < tolerance and share == 1.0:
-                return
-        raise RuntimeError(f"left {size}")
-
     def remember(self):
         """Hold what touches where it is on the sphere, where it slips as far as friction carries it."""
         found = self.contact(*self.now())
@@ -181,7 +149,7 @@ class Sphere:
         """Return what is stored of the press and of every turn."""
         for part in range(1, parts[0] + 1):
             self.push.Set(FORCE * (part / parts[0]) ** 1.5)
-            self.newton(1e-9)
+            newton(self.form, self.state)
             found = [self.reached()]
             self.remember()
         past = 0.0
@@ -191,7 +159,7 @@ class Sphere:
                 # All sticks at first; then friction carries less and less.
                 for more in (1e4, 8.0, 3.0, 1.5, 1.0):
                     self.friction.Set(FRICTION * more)
-                    self.newton(1e-9 if more == 1.0 else 1e-5)
+                    newton(self.form, self.state, 1e-9 if more == 1.0 else 1e-5)
                 reached = self.reached()
                 self.remember()
             past = turn
