@@ -25,8 +25,8 @@ below `FAINTEST` has no force. The average over neighbours keeps a load together
 method is FOCUSS (I. F. Gorodnitsky and B. D. Rao, IEEE Trans. Signal Process. 45 (1997) 600), which
 concentrates a load in single sites. The weight is the most likely one, because the prior has the
 shape of the load. Forces are no longer linear in the shifts; standard deviations are those for this
-prior. With fewer data than unknowns, as of one layer, markers next to a load are not believed to
-their noise (`MODEL_ERROR`).
+prior. Where in the cell of a site a force acts isn't known, so markers next to a load are not
+believed to their noise (`WITHIN_CELL`).
 
 **Bumped camera.** A shift of the camera adds the same two numbers to every marker. Generalised
 least squares under the smooth prior estimates them. A load much wider than the view has the same
@@ -87,7 +87,7 @@ class Field(Table):
     sd_total_n, sd_torque_nmm
         (3,) standard deviations of the totals, N and N mm: by the noise, and by the factor that the
         calibration leaves open (`Calibration.scale_error`; one by recorded places leaves none). By
-        ``local`` of fewer data than unknowns also by where forces are expected.
+        ``local`` also by where forces are expected.
     used
         (n,) which markers took part.
     wrong
@@ -253,7 +253,7 @@ def reconstruct(
     else:
         given = weight if METHODS[method].weighted else 0.0
         linear = _solved(problem, whole, given, robust, camera)
-        sd_force, moved = linear.sd_force_n, 0.0
+        sd_force, moved = linear.sd_force_n, np.zeros(3)
     problem, force = linear.problem, linear.force_n
     totals = calibration.total_rows @ force.ravel()
     sd_total = linear.scale * np.sqrt(
@@ -467,9 +467,9 @@ def _bend_of(problem: Problem, force: Floats) -> Floats:
     return problem.whiten(problem.calibration.bend_px(force))
 
 
-TURNS = 2
-"""Solutions after the first, and one more where data are fewer than unknowns: from a first one that
-finds a quarter of the force the second still lacks 4 % of it, the third 1 %."""
+TURNS = 3
+"""Solutions after the first: of one layer the first finds a quarter of the force, the second still
+lacks 4 % of it, the third 1 %."""
 
 AROUND = 1.0
 """Standard deviation of the average over neighbours, sites."""
@@ -495,9 +495,7 @@ def _localised(problem: Problem, force_n: Floats) -> Problem:
     scale = np.repeat(size, 3)[carries]
     whole = problem.base
     penalty = whole.penalty[np.ix_(carries, carries)] / np.outer(scale, scale)
-    if "reduced" not in whole.gram:
-        whole.gram["reduced"] = whole.factors.left.T @ whole.transfer
-    factors = Factors.of(whole.gram["reduced"][:, carries], penalty)
+    factors = Factors.of(whole.transfer[:, carries], penalty)
     everywhere = np.eye(len(carries))
     everywhere[np.ix_(carries, carries)] = penalty
     back, null = (np.zeros((len(carries), part.shape[1])) for part in (factors.back, factors.null))
@@ -510,7 +508,7 @@ def _localised(problem: Problem, force_n: Floats) -> Problem:
         quadratics={},
     )
     factors = Factors(
-        left=whole.factors.left @ factors.left,
+        left=factors.left,
         singular=factors.singular / problem.size_px,
         back=back,
         null=null,
@@ -519,22 +517,23 @@ def _localised(problem: Problem, force_n: Floats) -> Problem:
     return replace(problem, base=base, factors=factors)
 
 
-MODEL_ERROR = 0.08
-"""Error of the transfer matrix where a marker has moved farthest, as a share of its shift: how a
-force is spread within a site is not known, and moves the markers next to it. Elsewhere the share
-falls with the square of the shift."""
+WITHIN_CELL = 120**-0.5
+"""Second difference of the response to a force from site to site that a force between two of them
+is off by, if sites share it as a lever does: x (1 - x)/2, root mean square over places x."""
 
 
-def _with_model_error(problem: Problem, whole: Floats) -> tuple[Problem, Floats]:
-    """Return the problem and its whitened data with the transfer matrix' error in the noise, if
-    there are fewer data than unknowns: else data average it out."""
+def _with_model_error(problem: Problem, whole: Floats, force_n: Floats) -> tuple[Problem, Floats]:
+    """Return the problem and its whitened data with what is not known of where in the cells
+    ``force_n`` (k, 3) acts in the noise."""
     base = problem.base
-    if len(whole) >= len(base.penalty):
-        return problem, whole
-    moved = problem.noise_px * np.hypot(*whole.reshape(-1, 2).T)
-    share = MODEL_ERROR * (moved / max(float(moved.max()), 1e-12)) ** 2
-    noise = np.hypot(problem.noise_px, share * moved)
-    less = np.repeat(problem.noise_px / noise, 2)
+    field = np.pad(force_n.reshape(*problem.calibration.grid, 3), ((1, 1), (1, 1), (0, 0)))
+    along = np.diff(field, 2, axis=0)[:, 1:-1]
+    across = np.diff(field, 2, axis=1)[1:-1]
+    change = np.hypot(base.transfer @ along.ravel(), base.transfer @ across.ravel())
+    off = WITHIN_CELL / problem.size_px * np.hypot(*change.reshape(-1, 2).T) / 2**0.5
+    more = np.hypot(1.0, off)  # of a marker's own noise
+    noise = more * problem.noise_px
+    less = np.repeat(1.0 / more, 2)
     transfer = base.transfer * (less * float(noise.mean()) / problem.size_px)[:, None]
     base = replace(base, transfer=transfer, gram={}, quadratics={})
     return replace(problem, noise_px=noise, base=base), whole * less
@@ -542,25 +541,25 @@ def _with_model_error(problem: Problem, whole: Floats) -> tuple[Problem, Floats]
 
 def _solved_locally(
     problem: Problem, whole: Floats, weight: float | WeightRule, robust: bool, camera: bool
-) -> tuple[_Linear, Floats, float]:
+) -> tuple[_Linear, Floats, Floats]:
     """Solve with forces expected where the smooth solution, then the local one, has some.
 
     Returns
     -------
-    The solution; (k, 3) deviations, N; and what each component of its total owes to where forces
-    are expected, if there are fewer data than unknowns, N: by how much the last turn moved it.
+    The solution; (k, 3) deviations, N; and (3,) what its total owes to where forces are expected,
+    N: by how much the last turn moved it.
     """
     found = smooth = _solved(problem, whole, "auto", robust, camera)
-    few = len(whole) < len(problem.base.penalty)
-    problem, whole = _with_model_error(problem, whole)
     rule = "likelihood" if weight == "auto" else weight
-    for _ in range(TURNS + few):
+    moved = np.zeros(3)
+    for _ in range(TURNS):
         if not found.force_n.any():
-            return smooth, smooth.sd_force_n, 0.0
-        before = found
-        found = _solved(_localised(problem, found.force_n), whole, rule, robust, camera)
+            return smooth, smooth.sd_force_n, np.zeros(3)
+        before = found.force_n
+        part, data = _with_model_error(problem, whole, before)
+        found = _solved(_localised(part, before), data, rule, robust, camera)
+        moved = (found.force_n - before).sum(axis=0)
     carries = found.problem.factors.back.any(axis=1).reshape(-1, 3)
-    moved = few * float(np.linalg.norm((found.force_n - before.force_n).sum(axis=0)))
     return found, np.where(carries, found.sd_force_n, smooth.sd_force_n), moved
 
 

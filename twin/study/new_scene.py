@@ -219,12 +219,6 @@ def _recipe_of(pad: Pad) -> str:
     )
     coat = min(0.1, layers[0][0] / 5)
     ground = [0.35] * 3 if len(layers) == 1 else [0.03] * 3
-    method, method_note = "smooth", '         # "local" where loads cover a small part of the pad'
-    if len(layers) == 1:
-        method, method_note = (
-            "local",
-            "          # with one layer smooth finds far too little force",
-        )
     corners = [[x, y, led_z] for x in (led, -led) for y in (led, -led)]
     slack = min(0.03, min(depth_mm for depth_mm, *_ in layers) / 5)
     printed = min(0.03, min(pitch for _, pitch, _ in layers) / 20)
@@ -301,7 +295,7 @@ assumed = "careful casting and a ruler"
 method = "compliance"     # from the design; "fitted" for a real sensor's presses
 
 [reconstruction]
-method = "{method}"{method_note}
+method = "local"          # smooth finds far too little force on thin pads and by one layer
 weight = "auto"
 push_only = true          # nothing sticks to the pad
 friction = 0.5
