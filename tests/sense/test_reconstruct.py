@@ -304,8 +304,8 @@ DENSE = {"columns": 18, "rows": 15, "pitch_mm": 0.9, "diameter_mm": 0.3}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dots", [{}, DENSE], ids=["as many as sites", "many"])
-def test_one_layer_states_what_the_force_sideways_owes_to_where_forces_are_expected(dots):
+@pytest.mark.parametrize(("dots", "most"), [({}, 0.5), (DENSE, 0.3)], ids=["as many as sites", "many"])
+def test_one_layer_states_what_the_force_sideways_owes_to_where_forces_are_expected(dots, most):
     """A gel pad without tolerances, and markers' true motion: components sideways were 3 to 7 deviations off, and the
     field by many dots 66 %, as it was not known that a force may act between two sites."""
     score, field_error, random = [], [], np.random.default_rng(3)
@@ -321,7 +321,7 @@ def test_one_layer_states_what_the_force_sideways_owes_to_where_forces_are_expec
         score.append((field.total_force_n - state.force_n) / field.sd_total_n)
         field_error.append(force_score(field, sensor.rectangles(state.load))["field_error"])
     assert 0.5 < np.sqrt(np.mean(np.square(score))) < 2.0
-    assert np.mean(field_error) < 0.3
+    assert np.mean(field_error) < most
 
 
 @pytest.mark.parametrize("options", [{}, {"push_only": True}, {"friction": 0.8}])
