@@ -7,11 +7,12 @@ to the others (`twin.sense.template`). An error of the slope is then the same in
 cancels in the shift.
 
 A picture is measured in three steps. `DiscFit._fit` fits all markers; one that no longer looks as
-at rest is fitted with an outline and blur of its own, or by the part of it that is in sight
-(`twin.sense.shape_fit`). `_judge` refuses fits that don't look like the marker. `DiscFit._judged`
-states the standard deviations: that of the noise, also where it hangs together over pixels, and
-what the edge, the slope of brightness and the size add that the model lacks. Where the slope has
-changed, as under a moving shadow, it also corrects the centre.
+at rest is fitted with an outline and blur of its own, or by the part of it that is in sight; a
+layer with rough outlines by its markers' own pictures (`twin.sense.shape_fit`). `_judge` refuses
+fits that don't look like the marker. `DiscFit._judged` states the standard deviations: that of the
+noise, also where it hangs together over pixels, and what the edge, the slope of brightness and the
+size add that the model lacks. Where the slope has changed, as under a moving shadow, it also
+corrects the centre.
 
 After a first picture fits start where the last ones ended; where too many of them fail the whole
 picture is searched.
@@ -49,12 +50,11 @@ from twin.sense.rest_templates import (
     USUAL,
     BareGround,
     LayerSignal,
-    bounded_rms,
     in_other_light,
     make_templates,
     noise_now,
 )
-from twin.sense.shape_fit import Expected, fit_shapes, fit_visible
+from twin.sense.shape_fit import NORMAL_MEDIAN, Expected, OwnPictures, fit_shapes, fit_visible
 from twin.sense.soft_window import SoftWindow
 from twin.sense.template import (
     CENTRE,
@@ -71,6 +71,7 @@ from twin.sense.template import (
     MISFIT,
     ONE_SIDED,
     OUTLIER_SD,
+    OWN_PICTURE,
     OWN_SHAPE,
     PART_IN_SIGHT,
     PIXELS,
@@ -100,6 +101,12 @@ of edges at rest (`_coherence`) are smaller by this factor."""
 LEAST_EDGE = 0.5
 """Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
 
+ROUGH_PX, WIDE_PX = 0.07, 7.0
+"""Median third harmonic of edges at rest above which a layer's outlines are no ellipses: strain
+turns a share of it into motion. Round dots have .003 to .03 px (8 to 44 px wide, JPEG 60, sharp or
+pale), blue ones with half the resolution up to .064, on grained ground all up to .046; outlines off
+by 1 % in each harmonic .09 to .18 (from 24 px on). Radius above which that matters."""
+
 UNLIKE = 0.12
 """Root mean square of what a fit leaves beyond what usual fits leave, as a share of the marker's
 brightness, above which it is no picture of that marker. Noise that hangs together over pixels (a
@@ -128,9 +135,6 @@ growth is kept off the ground between them."""
 KNOWN_OUTLINE, KNOWN_LEVEL, OPEN_LEVEL = 0.005, 0.02, 0.2
 """Least standard deviations of a marker's outline and brightness about its neighbours', as shares
 of radius and brightness; and of the brightness of one that the frame cut at rest."""
-
-NORMAL_MEDIAN = 0.455
-"""Median of the square of a normal number, over its variance."""
 
 NORMAL = 0.7413
 """A normal distribution's standard deviation, as a share of what lies between its quarters."""
@@ -231,6 +235,8 @@ class DiscFit(SoftWindow):
         as far from their expected places, so that the rest picture itself shows no motion at all.
     bare
         Bare ground whose noise hangs together over pixels; None where it doesn't.
+    pictures
+        Own pictures at rest of a layer's markers whose outlines are no ellipses (`ROUGH_PX`).
     rougher
         Whether this is for a picture whose noise hangs together over pixels, unlike at rest.
     """
@@ -238,6 +244,7 @@ class DiscFit(SoftWindow):
     templates: Templates
     start_px: Pixels
     bare: BareGround | None = None
+    pictures: OwnPictures | None = None
     rougher: bool = False
 
     @classmethod
@@ -292,6 +299,11 @@ class DiscFit(SoftWindow):
             square = np.nanmedian(templates.third[good & ~cut] ** 2) / NORMAL_MEDIAN
             noise = np.nanmedian(fitted[good & ~cut, VARIANCE])
             sd[cut] = np.hypot(sd[cut], np.sqrt(max(square - 2.0 * noise, 0.0)))
+        pictures = None
+        rough = good & ~cut & (np.sqrt(templates.shape[:, 0] * templates.shape[:, 2]) > WIDE_PX)
+        if rough.any() and here.roughness_px > ROUGH_PX:
+            pictures = OwnPictures.of(picture, templates, np.flatnonzero(rough))
+            sd[rough] = np.sqrt(fitted[rough, VARIANCE].mean(axis=1))
         covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
         rest_px = np.where(good[:, None], fitted[:, CENTRE], np.nan)
         return cls(
@@ -302,6 +314,7 @@ class DiscFit(SoftWindow):
                 "usual_sd_px": np.sqrt(2.0 * (sd**2 + SD_FLOOR_PX**2) + covered**2),
                 "templates": templates,
                 "bare": BareGround.of(picture, templates, rest_px, marks),
+                "pictures": pictures,
             }
         )
 
@@ -341,6 +354,9 @@ class DiscFit(SoftWindow):
         if now := in_other_light(picture, templates, fitted, self._evenly):
             templates, fitted = now
         cut = self._cut(fitted, start_px)
+        if self.pictures:
+            self.pictures.fit(picture, templates, fitted)
+            cut &= fitted[:, RESHAPED] != OWN_PICTURE
         if not (np.fmax.reduce(fitted[:, DOUBTED]) > 0.0 or cut.any()):
             return fitted  # nearly always
         return self._refit(picture, templates, fitted, cut, start_px)
@@ -485,8 +501,9 @@ class DiscFit(SoftWindow):
         if not templates.coherent:
             square = _square(fitted[:, THIRD] - templates.third)
             doubted |= square > 2.0 * UNEVEN**2 * (fitted[:, VARIANCE].sum(axis=1))
+        other = fitted[:, RESHAPED] != OWN_PICTURE
         lacked = np.fmax(templates.rest[:, MISFIT] - RESHAPES * templates.usual_misfit, 0.0)
-        return odd, doubted & (misfit > now + SHADOW_MOVES * lacked)
+        return odd & other, doubted & other & (misfit > now + SHADOW_MOVES * lacked)
 
     def _fit_parts(
         self,
@@ -781,7 +798,7 @@ def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
     least = 1.0
     if counts.sum() >= SURE:
         least = min(max(float(np.sqrt(np.mean(score**2))), LEAST_COHERENCE), 1.0)
-    return max(bounded_rms(score), least)
+    return max(BareGround.bounded_rms(score), least)
 
 
 def _most_moved(fitted: Floats, templates: Templates, sd: Floats, shrunk: Floats) -> Floats:

@@ -32,9 +32,11 @@ from twin.sense.template import (
     FITTING,
     GROUND,
     LEVEL,
+    LINEAR,
     MARGIN_PX,
     MISFIT,
     NO_RUNS,
+    QUADRATIC,
     SHAPE,
     SLOPES,
     Templates,
@@ -87,9 +89,6 @@ chance up to .1 over 60 markers."""
 OWN_SLOPE = 0.3
 """A marker's own slope, over its radius, counts above this: a neighbour's shadow feigns smaller
 ones, and then moves."""
-
-QUADRATIC, LINEAR = 30, 12
-"""From how many markers on their shared slope is a quadratic, or linear, function of the place."""
 
 USUAL = 0.25
 """Share of the markers that fit better than what is called usual."""
@@ -349,37 +348,17 @@ def _gain(picture: Picture, templates: Templates, centres: Pixels) -> float:
 def _share_slopes(shape: Floats, places: Pixels, good: Bools, size: Sequence[int]) -> Floats:
     """Split the fitted slopes: return the shared part (2, 6), and leave in ``shape`` what is
     clearly a marker's own."""
-    shared = _smooth(shape[good, 3:5], places[good], size)
+    shared = Templates.smooth(shape[good, 3:5], places[good], size)
     shape[good, 3:5] -= slope_terms(places[good], size) @ shared.T
     own = np.hypot(shape[:, 3], shape[:, 4]) * np.hypot(shape[:, 0], shape[:, 2]) / np.sqrt(2.0)
     shape[~(good & (own > OWN_SLOPE)), 3:5] = 0.0
     return shared
 
 
-def _smooth(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
-    """Return (q, 6) the smooth functions of the place that ``values`` (n, q) follow, by the terms
-    of `slope_terms`: least squares, reweighted so that outliers count less (Huber); zeros where
-    there are few."""
-    shared, count = np.zeros((values.shape[1], 6)), len(values)
-    terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
-    basis = slope_terms(places, size)[:, :terms]
-    for axis in range(len(shared)):
-        weight = np.ones(count)
-        for _ in range(5 if terms else 0):
-            shared[axis, :terms] = np.linalg.lstsq(
-                basis * weight[:, None], values[:, axis] * weight, rcond=None
-            )[0]
-            rest = np.abs(values[:, axis] - basis @ shared[axis, :terms])
-            weight = np.sqrt(
-                np.minimum(1.0, 1.5 * max(float(np.median(rest)), 1e-9) / np.maximum(rest, 1e-9))
-            )
-    return shared
-
-
 def _smooth_gradient(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
     """Return (2, 6) the slopes along x and y, 1/px, of the smooth function of the place that
     ``values`` (n,) follow, by the terms of `slope_terms`."""
-    _, u, v, uu, uv, vv = _smooth(values[:, None], places, size)[0]
+    _, u, v, uu, uv, vv = Templates.smooth(values[:, None], places, size)[0]
     slopes = np.zeros((2, 6))
     slopes[0, :3] = np.array([u, 2.0 * uu, uv]) / size[1]
     slopes[1, :3] = np.array([v, uv, 2.0 * vv]) / size[0]
@@ -502,7 +481,8 @@ def _smooth_noise(variances: Floats, places: Pixels, size: Sequence[int]) -> Flo
     usual = np.maximum([ground, max(marker, ground)], QUANTISED)
     ratio = np.log(np.maximum(variances[:, 0], QUANTISED) / usual[0])
     known = np.isfinite(ratio + places[:, 0])
-    factor = slope_terms(places, size) @ _smooth(ratio[known, None], places[known], size)[0]
+    smooth = Templates.smooth(ratio[known, None], places[known], size)[0]
+    factor = slope_terms(places, size) @ smooth
     factor = np.clip(np.nan_to_num(factor), -NOISIER, NOISIER)
     if np.abs(factor).max(initial=0.0) < NOISE_VARIES:
         factor = 0.0 * factor
@@ -520,13 +500,6 @@ def noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
     return np.asarray(
         templates.noise * max(float(np.nanmedian(ratio)) if np.isfinite(ratio).any() else 1.0, 1.0)
     )
-
-
-def bounded_rms(score: Floats) -> float:
-    """Return the root mean square of ``score``, of which more than `OUTLYING` medians count as so
-    many."""
-    score = np.abs(score)
-    return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * np.median(score)) ** 2)))
 
 
 def _widest(templates: Templates) -> float:
@@ -581,7 +554,7 @@ def _ground_slopes(
     least = 0.25 * (ring[:, 0] ** 2).sum() * layer.sites.mean()
     firm = matrix[:, [1, 2], [1, 2]].min(axis=1) > least
     planes = np.linalg.solve(matrix[firm], ((use * signal) @ terms)[firm, :, None])[:, 1:, 0]
-    shared = _smooth(planes, centres[known[firm]], size)
+    shared = Templates.smooth(planes, centres[known[firm]], size)
     steep = np.hypot(*(slope_terms(centres[known], size) @ shared.T).T) * outer
     return shared if (steep > SLOPING * np.sqrt(variances[known])).any() else nothing
 
@@ -611,6 +584,12 @@ class BareGround:
     moved_px: Floats
     marks_px: Pixels
     near: Ints
+
+    @staticmethod
+    def bounded_rms(score: Floats) -> float:
+        """Return the root mean square, where more than `OUTLYING` medians count as so many."""
+        score = np.abs(score)
+        return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * np.median(score)) ** 2)))
 
     @classmethod
     def of(
@@ -678,7 +657,9 @@ def _uneven(moved: Floats, places: Pixels, picture: Picture) -> Floats:
     known = np.isfinite(moved[:, 0])
     moved, basis = moved[known], slope_terms(places[known], picture.shape)
     moved = moved - basis @ np.linalg.lstsq(basis, moved, rcond=None)[0]
-    return np.array([bounded_rms(moved[:, axes]) ** 2 for axes in (slice(2), slice(2, 4))])
+    return np.array(
+        [BareGround.bounded_rms(moved[:, axes]) ** 2 for axes in (slice(2), slice(2, 4))]
+    )
 
 
 def _moved_by_ground(

@@ -1,8 +1,9 @@
-"""The fits of a marker's whole picture, and of the part of it that is in sight.
+"""The fits of a marker's whole picture, of the part of it that is in sight, and of rough outlines.
 
 `fit_shapes` fits every marker at rest, which gives its template, and later those that no longer
 look as at rest: outline, brightness and blur. `fit_visible` fits markers of which a part is hidden,
-or cut off by the picture's frame.
+or cut off by the picture's frame. `OwnPictures` fits markers with rough outlines by their pictures
+at rest.
 
 A marker that lacks light on one side is either partly hidden or smaller than it was. Its own
 picture does not say which, so its neighbours' do: the outline, blur and brightness are expected to
@@ -25,25 +26,36 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from scipy.ndimage import gaussian_filter, laplace, map_coordinates, spline_filter, spline_filter1d
 
 from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles
 from twin.compiled import njit
 from twin.sense.template import (
     CENTRE,
     COLUMNS,
+    DIFFERENCE,
+    DOUBTED,
     EDGE,
     FITTING,
     GROUND,
     IMPERFECT,
     LEVEL,
+    LINEAR,
     MISFIT,
     NO_RUNS,
+    ONE_SIDED,
     OUTLIER_SD,
+    OWN_PICTURE,
     PIXELS,
+    RESHAPED,
+    SCALE,
     SHAPE,
     SHORTFALL,
     SQUARES,
     STEP,
+    THIRD,
+    TILTED,
+    VAR_TILTED,
     VARIANCE,
     Templates,
     disc,
@@ -559,3 +571,164 @@ def _signal(picture: Picture, templates: Templates, place: Ints) -> tuple[Floats
     for other in templates.others.astype(float):
         use &= pixels @ other[:3] <= other[3]
     return pixels @ own[:3] - own[3], np.asarray(use), np.asarray(inside)
+
+
+COARSE, TURNS_OF_WARP = (0.2, 0.07, 0.0), (12, 8, 12, 8)
+"""Blur, over the radius, by which pictures are compared first: edges that strain has moved by less
+are found. Most steps with each, and then with the light's slopes that all markers share."""
+
+LEAST_WARP_PX, LARGEST_WARP, LARGEST_STEP = 1e-3, 1.6, (0.15, 0.3)
+"""The fit's last step; by which factor a marker may be longer or shorter; a step's most stretch,
+and most motion over the radius."""
+
+NORMAL_MEDIAN = 0.455
+"""Median of the square of a normal number, over its variance."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnPictures:
+    """The rest pictures of markers whose outline is no ellipse.
+
+    Such a marker looks as at rest, but moved and stretched (six numbers), in other light (ground, a
+    factor and its slopes), and blurred more or less: 11 numbers for any outline. Steps follow from
+    the slopes at rest (Baker and Matthews' inverse compositional fit).
+
+    Attributes
+    ----------
+    rows
+        (k,) which markers.
+    place
+        (k, m, 2) whole pixels around their centres at rest, px, and ``use`` (k, m) which count.
+    terms
+        For every blur (k, m, 11) what the projected pixels change by: motion and stretch along x,
+        then y; ground; factor, so these are the pixels themselves, and its slopes; blur.
+    """
+
+    rows: Ints
+    place: Ints
+    use: Bools
+    terms: list[Singles]
+
+    @classmethod
+    def of(cls, picture: Picture, templates: Templates, rows: Ints) -> OwnPictures:
+        """Return those of markers ``rows`` of the ``picture`` at rest."""
+        centre = templates.rest[rows, None, CENTRE]
+        place = np.rint(centre).astype(np.int64) + disc_offsets(templates.reach_px)
+        views, shown = _views(picture, templates)
+        use, column, row = _pixels(shown, place)
+        x, y = (place - centre).transpose(2, 0, 1)
+        terms = []
+        for view in views:
+            knots = [spline_filter1d(view, axis=axis) for axis in (1, 0)]
+            slopes = [
+                (0.5 * (np.roll(knot, -1, axis) - np.roll(knot, 1, axis)))[row, column]
+                for knot, axis in zip(knots, (1, 0), strict=True)
+            ]
+            level = view[row, column]
+            columns = [slope * by for slope in slopes for by in (1.0, x, y)]
+            columns += [np.ones(x.shape), level, level * x, level * y, laplace(view)[row, column]]
+            terms.append(np.stack(columns, axis=2, dtype=np.float32))
+        return cls(rows=rows, place=place, use=use, terms=terms)
+
+    def fit(self, picture: Picture, templates: Templates, fitted: Floats) -> None:
+        """Fit the markers, in place, from the centres and sizes that are ``fitted`` on.
+
+        `FITTING` is the share of the edge that fits over most markers', so that what blur and
+        compression do to all hides none. Hidden parts would be taken for strain: such a fit is one
+        that `FITS` refuses.
+        """
+        rows, rest, known = self.rows, templates.rest[self.rows], fitted[self.rows]
+        found = np.isfinite(known[:, LEVEL])
+        known[~found] = rest[~found]
+        centre, level = known[:, CENTRE].copy(), templates.level[rows, None]
+        warp = (known[:, SCALE] / rest[:, SCALE])[:, None, None] * np.eye(2)
+        light = np.tile([0.0, 1.0, 0.0, 0.0, 0.0], (len(rows), 1))
+        radius = np.sqrt(templates.shape[rows, 0] * templates.shape[rows, 2])
+        noise = templates.noise[rows].sum(axis=1)[:, None]  # of both pictures
+        most_stretch, most_moved = LARGEST_STEP
+        step, inverse = radius.copy(), np.zeros((len(rows), 11, 11))
+        views, shown = _views(picture, templates)
+        finest = (views[-1], self.terms[-1])
+        for stage, (view, terms) in enumerate([*zip(views, self.terms, strict=True), finest]):
+            if held := stage == len(views):
+                free, loose = centre.copy(), inverse[:, 0, 0] + inverse[:, 3, 3]
+                if len(rows) < LINEAR:
+                    break
+                shared = Templates.smooth(light[:, 2:4] / light[:, 1:2], free, picture.shape)
+                light[:, 2:4] = light[:, 1:2] * (slope_terms(free, picture.shape) @ shared.T)
+            knots = spline_filter(view)
+            for _ in range(TURNS_OF_WARP[stage]):
+                place = (self.place - rest[:, None, CENTRE]) @ warp.swapaxes(1, 2) + centre[:, None]
+                use = self.use & _pixels(shown, np.rint(place).astype(np.int64))[0]
+                at = place.transpose(2, 0, 1)[::-1]
+                left = map_coordinates(knots, at, prefilter=False, mode="nearest")
+                left -= (terms[:, :, 6:] @ light[:, :, None])[:, :, 0]
+                # what noise explains, by most pixels; in the first steps that the place is wrong
+                scale = np.fmax(_medians(left**2 / noise, use) / NORMAL_MEDIAN, 1.0)[:, None]
+                limit = OUTLIER_SD**2 * (scale * noise + (IMPERFECT * level) ** 2)
+                limit += (0.5 * level * np.fmin(step, 2.0)[:, None]) ** 2
+                trust = use / (1.0 + left**2 / limit) ** 2
+                weighted = (terms * trust[:, :, None]).swapaxes(1, 2)
+                matrix, right = weighted @ terms.astype(float), weighted @ left[:, :, None]
+                if held:
+                    matrix[:, [8, 9]] = matrix[:, :, [8, 9]] = right[:, [8, 9]] = 0.0
+                    matrix[:, [8, 9], [8, 9]] = 1.0
+                size = np.sqrt(matrix.diagonal(axis1=1, axis2=2))[:, :, None] + 1e-9
+                inverse = np.linalg.inv(matrix / (size * size.swapaxes(1, 2)) + 1e-9 * np.eye(11))
+                inverse /= size * size.swapaxes(1, 2)
+                change = (inverse @ right)[:, :, 0]
+                grown = np.clip(change[:, [[1, 2], [4, 5]]], -most_stretch, most_stretch)
+                limit = most_moved * radius[:, None]
+                moved = np.clip(change[:, [0, 3]], -limit, limit)
+                warp = warp @ np.linalg.inv(np.eye(2) + grown)
+                centre -= (warp @ moved[:, :, None])[:, :, 0]
+                light += change[:, 6:]
+                step = np.hypot(*moved.T) + radius * np.abs(grown).max(axis=(1, 2))
+                if step.max() < LEAST_WARP_PX:
+                    break
+        slope_x, slope_y = terms[:, :, 0], terms[:, :, 3]
+        edge = slope_x**2 + slope_y**2
+        seen, every = ((one * edge).sum(axis=1) for one in (use, self.use))
+        fits = (trust * edge).sum(axis=1) / np.fmax(seen, 1e-9)
+        misfit = (trust * left**2).sum(axis=1) / np.fmax(trust.sum(axis=1), 1.0) / noise[:, 0]
+        stretch = np.linalg.svd(warp, compute_uv=False)
+        good = (stretch[:, 0] < LARGEST_WARP) & (stretch[:, 1] > 1.0 / LARGEST_WARP)
+        good &= np.hypot(*(centre - known[:, CENTRE]).T) < radius
+        # the edge's third harmonic, by the angle of its slope
+        third = use * left * np.sqrt(edge) * np.exp(3j * np.arctan2(-slope_y, -slope_x))
+        third = 2.0 * third.sum(axis=1) / np.fmax(seen, 1e-9)
+        variance = 0.5 * noise * np.fmax(misfit, 1.0)[:, None] * inverse[:, [0, 3], [0, 3]]
+        new = rest.copy()
+        new[:, CENTRE], new[:, LEVEL] = centre, rest[:, LEVEL] * light[:, 1]
+        new[:, SCALE] = rest[:, SCALE] * np.sqrt(np.abs(np.linalg.det(warp)))
+        # as fits of the ellipse state it: what a slope of the marker's own would change
+        new[:, TILTED] += free - centre
+        new[:, VAR_TILTED] += 0.5 * noise[:, 0] * (loose - inverse[:, 0, 0] - inverse[:, 3, 3])
+        new[:, VARIANCE], new[:, PIXELS], new[:, STEP] = variance, use.sum(axis=1), step
+        new[:, MISFIT] = templates.usual_misfit * misfit / scale[:, 0]
+        new[:, SQUARES] = new[:, MISFIT] * new[:, PIXELS] * templates.noise[rows, 0]
+        new[:, EDGE] = seen / np.fmax(every, 1e-9)
+        new[:, FITTING] = np.where(good, rest[:, FITTING] * fits / np.median(fits), 0.0)
+        new[:, THIRD] += np.column_stack([third.real, third.imag])
+        new[:, ONE_SIDED:RESHAPED], new[:, RESHAPED] = np.nan, OWN_PICTURE
+        new[:, SHORTFALL], new[:, DOUBTED], new[:, DIFFERENCE] = 1.0, 0.0, 0.0
+        fitted[rows[found]] = new[found]
+
+
+def _views(picture: Picture, templates: Templates) -> tuple[list[Singles], Bools]:
+    """Return the projected picture (h, w), blurred by each of `COARSE`; and where no other layer
+    shows."""
+    shown = np.ones(picture.shape[:2], np.bool_)
+    for other in templates.others:
+        shown &= picture @ other[:3] <= other[3]
+    signal = picture @ templates.own[:3]
+    radius = float(np.sqrt(templates.usual_shape[0] * templates.usual_shape[2]))
+    return [gaussian_filter(signal, share * radius) for share in COARSE], shown
+
+
+def _pixels(shown: Bools, place: Ints) -> tuple[Bools, Ints, Ints]:
+    """Return which of the pixels at ``place`` (k, m, 2) are ``shown`` and in the picture; and
+    column and row of the nearest in it."""
+    within = np.clip(place, 0, np.array(shown.shape[::-1]) - 1)
+    column, row = within.transpose(2, 0, 1)
+    return (within == place).all(axis=2) & shown[row, column], column, row

@@ -162,7 +162,7 @@ SLOPES = slice(SLOPE_X, SLOPE_Y + 1)
 - ``ONE_SIDED`` and on, along `DIRECTIONS` from 0 to 180 degrees: how far the centre moves if the
   edge on that side is left out, less how far it moves back if the other side is, px; NaN where the
   edge is not looked at.
-- ``RESHAPED``: what was fitted; 0 the shape at rest, `OWN_SHAPE` or `PART_IN_SIGHT`.
+- ``RESHAPED``: what was fitted; 0 the shape at rest, `OWN_SHAPE`, `PART_IN_SIGHT`, `OWN_PICTURE`.
 - ``DOUBTED``: 1 where the fit, the edge or the size is not as usual, else 0.
 - ``DIFFERENCE``: by how much the outline differs from its neighbours', unexplained, px.
 - ``TILTED``: how far the centre would move were the marker's slope of brightness fitted too, px.
@@ -170,8 +170,9 @@ SLOPES = slice(SLOPE_X, SLOPE_Y + 1)
   1/px.
 """
 
-OWN_SHAPE, PART_IN_SIGHT = 1.0, 2.0
-"""A marker fitted with an outline and blur of its own; by the part of it that is in sight."""
+OWN_SHAPE, PART_IN_SIGHT, OWN_PICTURE = 1.0, 2.0, 3.0
+"""A marker fitted with an outline and blur of its own; by the part of it that is in sight; by its
+own picture at rest."""
 
 FITS = 0.9
 """A marker of whose edge less fits may be partly hidden."""
@@ -222,6 +223,9 @@ it has (a marker that has changed its shape misses at its edge, where its place 
 
 LEADS = 3
 """Earlier markers by whose motion a start may be moved."""
+
+QUADRATIC, LINEAR = 30, 12
+"""From how many markers on their shared slope is a quadratic, or linear, function of the place."""
 
 SETTLED_LEAD_PX = 0.3
 """A marker whose last step was larger leads no other."""
@@ -674,6 +678,27 @@ class Templates:
     reach_px: float
     coherent: bool
     rest: Floats
+
+    @staticmethod
+    def smooth(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
+        """Return (q, 6) the smooth functions of the place that ``values`` (n, q) follow, by
+        `slope_terms`: least squares with Huber's weights; zeros where there are few."""
+        shared, count = np.zeros((values.shape[1], 6)), len(values)
+        terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
+        basis = slope_terms(places, size)[:, :terms]
+        for axis in range(len(shared)):
+            weight = np.ones(count)
+            for _ in range(5 if terms else 0):
+                shared[axis, :terms] = np.linalg.lstsq(
+                    basis * weight[:, None], values[:, axis] * weight, rcond=None
+                )[0]
+                rest = np.abs(values[:, axis] - basis @ shared[axis, :terms])
+                weight = np.sqrt(
+                    np.minimum(
+                        1.0, 1.5 * max(float(np.median(rest)), 1e-9) / np.maximum(rest, 1e-9)
+                    )
+                )
+        return shared
 
     @property
     def blur_px(self) -> Floats:
