@@ -105,7 +105,7 @@ def test_what_is_written_is_a_scene_without_doubts(pad: Pad, tmp_path: Path) -> 
     half = twin.Sensor(scene).sites.half_mm.max()
     assert half > 0, "every site lies on the surface, or this is refused"
     assert scene.reconstruction is not None
-    assert scene.reconstruction.method == ("local" if len(scene.markers) == 1 else "smooth")
+    assert scene.reconstruction.method == "local"
 
 
 def test_a_chip_and_a_lens_give_the_angle(tmp_path: Path) -> None:
