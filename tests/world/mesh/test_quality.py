@@ -45,11 +45,9 @@ def figures(corners):
 
 def test_angles_and_scaled_jacobians_of_known_tetrahedra():
     regular, corner = figures(REGULAR), figures(CORNER)
-    assert regular.least_dihedral_deg == pytest.approx(regular.largest_dihedral_deg)
     assert regular.least_dihedral_deg == pytest.approx(np.degrees(np.arccos(1 / 3)))
     assert abs(regular.least_scaled_jacobian) == pytest.approx(1)
     assert corner.least_dihedral_deg == pytest.approx(np.degrees(np.arctan(np.sqrt(2))))
-    assert corner.largest_dihedral_deg == pytest.approx(90)
     # longest corner: 1 x sqrt 2 x sqrt 2
     assert corner.least_scaled_jacobian == pytest.approx(np.sqrt(2) / 2)
 

@@ -274,14 +274,6 @@ def _on_rim(
     return _square(*pressed.half_mm)._replace(face=pressed)
 
 
-def _ends_at(contacts: ContactProblem) -> Floats:
-    """Return (p,) about how far each probe overlaps the body at rest where its contact ends, over
-    the indentation."""
-    return np.array(
-        [_END_OF_CONE if isinstance(one.probe, Cone) else 0.5 for one in contacts.setups]
-    )
-
-
 def solve_frictionless(
     contacts: ContactProblem, control: Control, pose: Floats, touch_z: Floats
 ) -> Equilibrium:
@@ -302,7 +294,8 @@ def solve_frictionless(
         offset=np.zeros((k, 2)),
         sideways=False,
     )
-    least = _ends_at(contacts) * (pose[Z :: len(_NAMES)] - touch_z)
+    ends = [_END_OF_CONE if isinstance(one.probe, Cone) else 0.5 for one in contacts.setups]
+    least = ends * (pose[Z :: len(_NAMES)] - touch_z)
     found = solve(problem, contacts.gap(pose)[0] < -least[contacts.owner], pose)
     load = float(np.abs(found.force_n[:, 2]).sum())
     lever_arm = problem.lever_arm
@@ -344,10 +337,6 @@ def _check_slide(
         )
 
 
-def _aspect(size: tuple[float, float]) -> float:
-    return math.sqrt(size[0] / size[1])
-
-
 def _counts(across: int, box: Box, contact: Box, most: float = math.inf) -> tuple[int, int]:
     """Return cells along u and v: ``across`` squared over the contact, more along its longer
     side; square ones, ``most`` at most, over a contact in pieces."""
@@ -355,7 +344,7 @@ def _counts(across: int, box: Box, contact: Box, most: float = math.inf) -> tupl
         step = max(contact.width_mm / across, math.sqrt(math.prod(box.size) / most))
         cells = [max(4, math.ceil(size / step - 1e-6)) for size in box.size]
         return cells[0], cells[1]
-    shape = math.sqrt(_aspect(contact.size))
+    shape = (contact.size[0] / contact.size[1]) ** 0.25
     u = box.size[0] / contact.size[0]
     v = box.size[1] / contact.size[1]
     return max(4, math.ceil(across * shape * u - 1e-6)), max(

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import add
 from typing import Any, ClassVar
 
 import numpy as np
@@ -136,17 +137,18 @@ class Share:
 
     def plus(self, other: Share) -> Share:
         """Return both together."""
-        return Share(**{name: getattr(self, name) + getattr(other, name) for name in vars(Share())})
+        return self._each(add, other)
 
     def at_least(self, other: Share) -> Share:
         """Return the larger of both, each by itself."""
-        return Share(
-            **{name: max(getattr(self, name), getattr(other, name)) for name in vars(Share())}
-        )
+        return self._each(max, other)
 
     def times(self, factor: float) -> Share:
         """Return this share so many times."""
-        return Share(**{name: factor * getattr(self, name) for name in vars(Share())})
+        return self._each(lambda own, _: factor * own, self)
+
+    def _each(self, of: Callable[[float, float], float], other: Share) -> Share:
+        return Share(**{key: of(getattr(self, key), getattr(other, key)) for key in vars(Share())})
 
 
 _NOTHING = Share()

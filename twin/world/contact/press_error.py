@@ -9,11 +9,11 @@ compliance), the forces change by df and the probe's free motions by dq:
 
 on the patches in contact, slipping ones along their drag; exact to first order.
 
-**Patches.** The same press is solved on patches twice as wide (half as wide where there are few),
-and compared. Under a smooth probe patches cut the contact's border by chance, so the difference may
-vanish. Therefore an error that is proportional to the square of the width is added.
+**Patches.** The same press is solved on wider patches (on narrower ones where there are few), and
+compared. Under a smooth probe patches cut the contact's border by chance, so the difference may
+vanish. Therefore an error proportional to the square of the width is added.
 
-**Parts of a path** (friction). The same press is solved on these patches in half as many parts.
+**Parts of a path** (friction). The same press is solved in half as many parts.
 
 Validity: the body's own estimate, to first order. Under a sharp rim or tip the traction grows
 without bound. Linear theory's own error is separate (`Validity`).
@@ -44,9 +44,14 @@ _Solve = Callable[[LoadProgramme, int], tuple[list[ContactState], str]]
 _FEWEST_COMPARED = 6
 """Patches in contact from which on tractions are compared; patches across a contact at least."""
 
+_FEW_ON_RIM, _OF_FINER = 14, 2.0
+"""Patches across a rounded rim below which it is solved on 1.5 and 2 times as many: 6 miss it, and
+6 and 8 miss it alike. One of the two may agree by chance, seldom both. Error over the larger
+change: the order may be the first."""
+
 _MOST_RESPONDING = 600
-"""Patches in contact from which on the response of the contact is computed on fewer: it takes time
-that grows with their cube, and no part of the press's error is as small as what they leave."""
+"""Patches in contact from which on its response is computed on fewer: its time grows with their
+cube, and no part of the press's error is as small as what they leave."""
 
 _WIDER = 0.4
 _WIDER_FLAT = 0.5
@@ -61,7 +66,7 @@ other probes."""
 
 _ORDER = 1.8
 _ALIKE = 1.3
-"""Order of that law, and the least ratio of widths that tells anything."""
+"""Order of that law, and the least ratio of widths that counts."""
 
 _CUT = 0.26
 """Error of a smooth probe's force at a given depth, times the square of the patches across.
@@ -98,12 +103,12 @@ _OUTWARDS, _STEP, _HALVINGS, _FOLDED = 1.5, 0.1, 8, 3.0
 is taken there, in patches; bisections; and how many times as fast as within a patch the gap grows
 at an edge. Of a smooth border it is less than twice, where two patches resolve it."""
 
-_EDGE_TRACTION, _MORE_TRACTION, _STEPPED = 0.7, 1.2, 1.6
+_EDGE_TRACTION, _MORE_TRACTION, _STEPPED = 0.7, 1.3, 1.6
 """Error of the tractions under sharp edges, over the root of the share of patches at them; and
-under an inclined flat face, or where each patch is at the border, over the change. Measured on a
-half-space at 8 and 12 across against 32 and 40: 0.2 to 0.73, and 0.3 to 1.03. The last where a
-sharp round rim is made of rectangles, which leaves it to finer ones: 1.04 to 1.6 at 16 and 24
-across against 36, on five bodies, for the tractions' means over patches; 0.93 to 1.33 between."""
+under inclined flat faces, on rounded rims, or where each patch is at the border, over the change.
+Measured at 7 to 16 across against 32 to 40: 0.2 to 0.73, and 0.3 to 1.2. The last where a sharp
+round rim is made of rectangles, which leaves it to finer ones: 1.04 to 1.6 at 16 and 24 across
+against 36, on five bodies, for the tractions' means over patches; 0.93 to 1.33 between."""
 
 _CUT_FREE = 0.1
 """Error of the force under an object's smooth borders, times patches over those of a square that a
@@ -141,6 +146,10 @@ which a quarter of the half width is on the rim. On thin rubber it is as many ti
 force grows faster with the face (`_growth`): 1.5 to 2.2 under round and 1.6 to 3.8 under square
 ones as wide as 2.7 times the thickness."""
 
+_UNSEEN = 0.4
+"""How much of either may be left where finer patches change less. Measured at 7 to 12 across
+against 40: 0.24 in one case of 29."""
+
 _STIFFER = 1.5
 """How much faster a sphere's force grows than its indentation, relatively; a cone's 2."""
 
@@ -165,8 +174,7 @@ class Estimates:
 
     @dataclass(frozen=True, kw_only=True)
     class Watched:
-        """Points whose displacement's error is of interest, and a function that takes the
-        estimates.
+        """Points whose displacement's error is of interest, and what takes the estimates.
 
         Attributes
         ----------
@@ -204,27 +212,35 @@ class Estimates:
         """Return the error of the state at the end of a step."""
         if not state.load.terms:
             return self._recovering(state, step)
-        other = _state_of(self._compared[1], step) if state.complete else None
+        others = self._others(step) if state.complete else []
         patches = increments = Share.unknown()
-        if other is not None:
-            change = self._change(state, other)
+        if others:
             borders = self._borders(state, step)
-            factor = self._error_over_change(state, other, borders)
-            patches = self._cut(state, step, change.times(factor))
-            # Tractions converge with order 1/2 to 1 only.
+            change = changed = Share()
+            for number, other in others:
+                one = self._change(state, other)
+                factor = _OF_FINER
+                if not self._resolves_rims:
+                    factor = self._error_over_change(state, number, other, borders)
+                change, changed = change.at_least(one), changed.at_least(one.times(factor))
+            patches = self._cut(state, step, changed)
+            # Tractions converge with order 1/2 to 1.
             tractions = [change.traction]
             for setup, border in zip(self._job.setups, borders, strict=True):
                 if border.touches and (setup.is_free_form or setup.has_inclined_face):
                     tractions.append(border.traction_error)
                     if setup.has_inclined_face or border.patches.all():
                         tractions.append(_MORE_TRACTION * change.traction)
-                elif setup.face is not None and setup.face.is_round and not border.is_rounded:
+                elif border.is_rounded or self._coarser[1] is self._states:
+                    tractions.append(_MORE_TRACTION * change.traction)
+                elif setup.face is not None and setup.face.is_round:
                     tractions.append(_STEPPED * change.traction)
             patches = replace(patches, traction=max(tractions))
         if not self._job.friction.any() and self._job.relaxation is None:
             increments = Share()
-        elif other is not None and (fewer := _state_of(self._fewer, step)) is not None:
-            increments = self._change(other, fewer).times(1.0 if self._increments > 1 else 2.0)
+        elif others and (fewer := _state_of(self._fewer, step)) is not None:
+            whole = self._coarser[1][step]
+            increments = self._change(whole, fewer).times(1.0 if self._increments > 1 else 2.0)
         error = PressError.of(body=self._body(state, step), patches=patches, increments=increments)
         if self._watched is not None:
             known = error if state.complete else PressError.of(body=error.body)
@@ -244,17 +260,18 @@ class Estimates:
         """Return the error where no probe touches: of the motion that relaxing rubber still has."""
         body = patches = increments = Share()
         if state.load.moving.terms and self._watched is not None:
-            other = _state_of(self._compared[1], step)
+            others = self._others(step)
             fewer = _state_of(self._fewer, step)
             body = Share(markers=self._watched.error(state.load))
-            if other is None or fewer is None:
+            if not others or fewer is None:
                 patches = Share.unknown()
             else:
-                moved, coarse, slow = (
-                    self._half_space(s.load, self._points) for s in (state, other, fewer)
+                moved, whole, slow, *changed = (
+                    self._half_space(s.load, self._points)
+                    for s in (state, self._coarser[1][step], fewer, *(s for _, s in others))
                 )
-                patches = Share(markers=_over(coarse - moved, moved))
-                increments = Share(markers=_over(slow - coarse, moved))
+                patches = Share(markers=max(_over(one - moved, moved) for one in changed))
+                increments = Share(markers=_over(slow - whole, moved))
         error = PressError.of(body=body, patches=patches, increments=increments)
         if self._watched is not None:
             self._watched.judge(error)
@@ -268,19 +285,19 @@ class Estimates:
         return self._known[step]
 
     def _error_over_change(
-        self, state: ContactState, other: ContactState, borders: list[_Border]
+        self, state: ContactState, number: int, other: ContactState, borders: list[_Border]
     ) -> float:
-        """Return the error over the change with the other patches: as much wider as fewer are
-        across, but under objects, whose largest number of patches may end both alike.
+        """Return the error over the change with ``number`` patches across: as much wider as those
+        are fewer, but under objects, whose largest number of patches may end both alike.
 
         A power law goes through what is known of twice and half the width. Under objects it is the
         less steep, down to first order, the sharper their edges are.
         """
-        wider = self._job.setups[0].across / self._compared[0]
+        wider = self._job.setups[0].across / number
         sharp = 0.0
         if any(one.is_free_form for one in self._job.setups):
             wider = _patch_mm(other) / _patch_mm(state)
-            sharp = max((border.sharpness for border in _of_objects(borders)), default=0.0)
+            sharp = max(border.sharpness for border in borders)
         ratio = max(wider, 1.0 / wider, _ALIKE)
         if wider < 1.0:
             known = _NARROWER
@@ -296,21 +313,40 @@ class Estimates:
         return float(smooth + sharp * max(first - smooth, 0.0))
 
     @cached_property
-    def _compared(self) -> tuple[int, list[ContactState]]:
+    def _resolves_rims(self) -> bool:
+        """Whether there is a rounded rim under few patches."""
+        rounded = any(one.face and one.face.edge_mm > 0.0 for one in self._job.setups)
+        return rounded and self._job.setups[0].across < _FEW_ON_RIM
+
+    @cached_property
+    def _compared(self) -> list[tuple[int, list[ContactState]]]:
         """How many other patches are across, and the states on these: twice as wide, or narrower
-        where there are too few of those or where they don't fit on the body."""
+        where those are too few, don't fit on the body, or miss a rim."""
         across = self._job.setups[0].across
         enough = [n for n in (across // 2, 3 * across // 4, 2 * across) if n >= _FEWEST_COMPARED]
-        for number in enough:
-            if found := self._on_other_patches(self._increments, number):
-                return number, found
-        return number, []
+        found = []
+        for number in (3 * across // 2, 2 * across) if self._resolves_rims else enough:
+            if states := self._on_other_patches(self._increments, number):
+                found.append((number, states))
+                if not self._resolves_rims:
+                    break
+        return found
+
+    def _others(self, step: int) -> list[tuple[int, ContactState]]:
+        """Return the states at a step's end on other patches, and how many are across."""
+        return [(n, states[step]) for n, states in self._compared if step < len(states)]
+
+    @cached_property
+    def _coarser(self) -> tuple[int, list[ContactState]]:
+        """The coarser of both, for what takes many solves."""
+        own = self._job.setups[0].across, self._states
+        return min([own, *self._compared[:1]], key=lambda one: one[0])
 
     @cached_property
     def _fewer(self) -> list[ContactState]:
         """The same in half as many parts; in twice as many where there is one only."""
         increments = self._increments // 2 if self._increments > 1 else 2
-        return self._on_other_patches(increments, self._compared[0])
+        return self._on_other_patches(increments, self._coarser[0])
 
     @cached_property
     def _few(self) -> list[ContactState]:
@@ -327,7 +363,10 @@ class Estimates:
     def _change(self, one: ContactState, other: ContactState) -> Share:
         """Return what changes from one state to another, over what it is in the first."""
         pairs = list(zip((one, *one.also), (other, *other.also), strict=True))
-        points = self._counting(one)
+        points = self._points
+        if not len(points):
+            patches = _joined(one.load)
+            points = patches.centre_mm + _BELOW_MM * patches.frames[:, 2]
         moved = self._half_space(one.load, points)
         return Share(
             force=max(_over(b.force_n - a.force_n, a.force_n) for a, b in pairs),
@@ -337,13 +376,6 @@ class Estimates:
             traction=max(_traction_change(a, b) for a, b in pairs),
             markers=_over(self._half_space(other.load, points) - moved, moved),
         )
-
-    def _counting(self, state: ContactState) -> Points:
-        """Return (n, 3) the points whose displacement's error counts, mm."""
-        if len(self._points):
-            return self._points
-        patches = _joined(state.load)
-        return patches.centre_mm + _BELOW_MM * patches.frames[:, 2]
 
     def _cut(self, state: ContactState, step: int, changed: Share) -> Share:
         """Return what patches leave: what other patches change, and where they cut the borders of
@@ -366,11 +398,10 @@ class Estimates:
                     rim = _WALLS * math.tan(incline) ** 2
                 error = max(error, rim)
         borders = self._borders(state, step)
-        edge = max((border.force_error for border in _of_objects(borders)), default=0.0)
-        rounded = 0.0
+        edge = rounded = 0.0
         for one in borders:
             face = one.setup.face
-            if face is None or not (one.is_rounded and one.touches):
+            if face is None or face.edge_mm == 0.0 or not one.touches:
                 continue
             flat = 1.0 - face.edge_mm / min(face.half_mm)
             if one.is_graded:
@@ -382,6 +413,9 @@ class Estimates:
                 rounded = max(rounded, cut / across**2)
             else:
                 edge = max(edge, (_ROUNDED[face.is_round] * flat + _CUT / across) / across)
+        if self._resolves_rims and changed != Share():
+            edge, rounded = _UNSEEN * max(edge, rounded), 0.0
+        edge = max(edge, *(border.force_error for border in borders))
         deep, pushed = self._placed(state, step)
         border = Share(
             indentation=deep * max(error / _STIFFER, rounded), force=pushed * max(error, rounded)
@@ -467,11 +501,9 @@ class Estimates:
         and the errors (c, n, 3), mm."""
         used = state
         if state.complete:
-            other = _state_of(self._compared[1], step)
-            used = other if other is not None and _alike(state, other) else state
+            used = _alike(state, self._coarser[1], step)
             if len(used.slips) > _MOST_RESPONDING:
-                few = _state_of(self._few, step)
-                used = few if few is not None and _alike(state, few) else used
+                used = _alike(used, self._few, step)
         response = _Response(self._job, step, used)
         errors_of: Any = getattr(self._job.setups[0].compliance, "displacement_errors", None)
         moved, errors = errors_of(response.patches.centre_mm, _joined(state.load))
@@ -720,9 +752,9 @@ class _Border:
 
     @property
     def sharpness(self) -> float:
-        """How sharp it is: 0 where pressure vanishes there or the object goes on smoothly, 1 where
-        pressure is no less than elsewhere and the object ends."""
-        if not self.patches.any():
+        """How sharp an object's is: 0 where pressure vanishes there or the object goes on smoothly,
+        1 where pressure is no less than elsewhere and the object ends."""
+        if not (self.setup.is_free_form and self.touches and self.patches.any()):
             return 0.0
         pressure = self.state.pressure_mpa
         pressed = min(1.0, float(pressure[self.patches].mean() / pressure.mean()) ** 4)
@@ -742,8 +774,10 @@ class _Border:
 
     @property
     def force_error(self) -> float:
-        """The error of the force as patches cut it: where it is sharp, pressure doesn't vanish;
-        where it is smooth, it is the longer the narrower the contact is."""
+        """The error of the force as patches cut an object's: where it is sharp, pressure doesn't
+        vanish; where it is smooth, it is the longer the narrower the contact is."""
+        if not (self.setup.is_free_form and self.touches):
+            return 0.0
         smooth = _CUT_FREE * self.longer**1.5 * math.pi / len(self.state.pressure_mpa)
         return float(max(_EDGE * self.sharpness * self.patch_share, smooth))
 
@@ -755,15 +789,13 @@ class _Border:
         return _EDGE_TRACTION * math.sqrt(sharp)
 
 
-def _of_objects(borders: list[_Border]) -> list[_Border]:
-    """Return those of objects of any shape that touch."""
-    return [one for one in borders if one.setup.is_free_form and one.touches]
-
-
-def _alike(one: ContactState, other: ContactState) -> bool:
-    """Return whether the same probes touch."""
-    pairs = zip((one, *one.also), (other, *other.also), strict=True)
-    return all(bool(len(a.pressure_mpa)) == bool(len(b.pressure_mpa)) for a, b in pairs)
+def _alike(one: ContactState, states: list[ContactState], step: int) -> ContactState:
+    """Return the state at the end of a step if the same probes touch as in ``one``, else that."""
+    for other in states[step : step + 1]:
+        pairs = zip((one, *one.also), (other, *other.also), strict=True)
+        if all((len(a.slip) > 0) == (len(b.slip) > 0) for a, b in pairs):
+            return other
+    return one
 
 
 def _joined(load: Load) -> Rectangles:
@@ -788,34 +820,22 @@ def _rms_traction(load: Rectangles) -> float:
     return float(np.sqrt(np.sum(np.sum(load.force_n**2, axis=1) / area) / area.sum()))
 
 
-def _traction_change(fine: ContactState, coarse: ContactState) -> float:
+def _traction_change(one: ContactState, other: ContactState) -> float:
     """Return the RMS change of the tractions over their RMS, the coarse ones interpolated to the
     finer patches."""
-    from scipy.spatial import Delaunay
+    from scipy.interpolate import LinearNDInterpolator
 
-    if min(len(fine.traction_mpa), len(coarse.traction_mpa)) < _FEWEST_COMPARED:
+    coarse, fine = sorted((one, other), key=lambda state: len(state.slip))
+    if len(coarse.slip) < _FEWEST_COMPARED:
         return 1.0
-    one = fine.load.terms[0]
-    other = coarse.load.terms[0]
-    assert isinstance(one, Rectangles)
-    assert isinstance(other, Rectangles)
-    here = _flattened(one, one)
-    there = _flattened(other, one)
-    triangles = Delaunay(there)
-    inside = triangles.find_simplex(here)
-    known = inside >= 0
-    to_shares = triangles.transform[inside]
-    shares = np.einsum("nij,nj->ni", to_shares[:, :2], here - to_shares[:, 2])
-    shares = np.column_stack([shares, 1.0 - shares.sum(axis=1)])
-    corners = coarse.traction_mpa[triangles.simplices[inside]]
-    expected = np.einsum("ni,nij->nj", shares, corners)
-    weight = np.prod(one.half_mm, axis=1)[known, None]
-    changed = float(np.sum(weight * (expected[known] - fine.traction_mpa[known]) ** 2))
-    return (
-        float(np.sqrt(changed / np.sum(weight * fine.traction_mpa[known] ** 2)))
-        if known.any()
-        else 1.0
-    )
+    patches, others = (_joined(Load(state.load.terms[:1])) for state in (fine, coarse))
+    here = _flattened(patches, patches)
+    expected = LinearNDInterpolator(_flattened(others, patches), coarse.traction_mpa)(here)
+    known = np.isfinite(expected[:, 0])
+    weight = known * _areas(patches)
+    changed = weight @ (np.nan_to_num(expected) - fine.traction_mpa) ** 2
+    whole = weight @ fine.traction_mpa**2
+    return float(np.sqrt(changed.sum() / whole.sum())) if known.any() else 1.0
 
 
 def _flattened(rectangles: Rectangles, reference: Rectangles) -> Floats:

@@ -50,15 +50,14 @@ from twin.world.contact.contact_search import (
 from twin.world.contact.contact_state import ContactState
 from twin.world.contact.load_step import load_step
 from twin.world.contact.press_error import Estimates
-from twin.world.contact.probe_gap import ABOUT_X, ABOUT_Y, MOTIONS, Approach, X, Y, Z, half_extent
+from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, TURN, Approach, X, Y, Z, half_extent
 from twin.world.contact.surface_patches import Box, Plane
 
 TRIES = 8
 """How often grids that contact outgrows are made larger."""
 
 _OVERLAP = 0.02
-"""How far a patch may lie inside another probe, over the indentation: it is as wide as a patch
-is."""
+"""How far a patch may lie inside another probe, over the indentation."""
 
 
 def _counted_from(control: Control, pose: Floats) -> Control:
@@ -75,11 +74,8 @@ def _refuse_untransmitted_forces(control: Control) -> None:
     nothing."""
     asked = np.where(control.by_force, control.given, 0.0)
     if asked.any():
-        torque = (
-            f"{asked[-1]:g}"
-            if not asked[ABOUT_X:-1].any()
-            else ", ".join(f"{t:g}" for t in asked[ABOUT_X:])
-        )
+        whole = asked[ABOUT_X:]
+        torque = ", ".join(f"{t:g}" for t in (whole if whole[:-1].any() else whole[-1:]))
         raise ContactError(
             f"contact: force ({', '.join(f'{f:g}' for f in asked[: Z + 1])}) N and torque {torque} "
             "N mm are asked of a probe that touches nothing at the end of the step: push along z "
@@ -206,9 +202,8 @@ class _Reach:
             push *= float(self.plane.axes[2] @ setup.first.axes[2]) ** 2
             if programme.relaxation is not None:
                 push *= programme.relaxation.creep(step.time_s)
-        turned = np.where(control.by_force, 0.0, control.given) * np.isin(
-            np.arange(MOTIONS), (ABOUT_X, ABOUT_Y)
-        )
+        turned = np.where(control.by_force, 0.0, control.given)
+        turned[[X, Y, TURN]] = 0.0
         along_z = np.arange(MOTIONS) == Z
         still = Control(by_force=control.by_force & along_z, given=np.where(along_z, push, turned))
         if _is_lifted(still, self.touch_z):
@@ -430,9 +425,7 @@ def _frictional_step(
     """Take one step; return the state at its end, the patches in contact, and why it stopped before
     that, if it did."""
     control = _counted_from(step, history.pose)
-    lifted = np.array(
-        [_lifted_by_force(control.of_probe(number)) for number in range(len(programme.setups))]
-    )
+    lifted = control.by_force[Z::MOTIONS] & (control.given[Z::MOTIONS] == 0.0)
     places = history.pose.reshape(-1, MOTIONS).copy()
     for number in np.flatnonzero(lifted).tolist():
         own = control.of_probe(number)
@@ -513,10 +506,6 @@ def _states(
         replace(one, load=replace(one.load, crept=grid.crept(memory, number)))
         for number, one in enumerate(states)
     ]
-
-
-def _lifted_by_force(control: Control) -> bool:
-    return bool(control.by_force[Z] and control.given[Z] == 0.0)
 
 
 def _touch_z(setup: ProbeSetup, slid_mm: Floats, pose: Floats) -> float:

@@ -14,7 +14,6 @@ Within a tenth of the body's height of a held face there is no bound: both are o
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -553,7 +552,8 @@ def _consistent_forces(body: Body, mesh: Mesh, locator: Locator, load: Rectangle
     for centre, frame, half, force in zip(
         load.centre_mm, load.frames, load.half_mm, load.force_n, strict=True
     ):
-        sides = [_middles(float(h)) for h in half]
+        counts = np.clip(np.ceil(2.0 * half / PIECE_MM), 1, MOST_PIECES)
+        sides = [(np.arange(n) + 0.5) / n * 2.0 * h - h for n, h in zip(counts, half, strict=True)]
         offsets = grid_points(*sides)
         points.append(centre + offsets @ frame[:2])
         forces.append(np.tile(force / len(offsets), (len(offsets), 1)))
@@ -567,11 +567,6 @@ def _consistent_forces(body: Body, mesh: Mesh, locator: Locator, load: Rectangle
             f"the load puts {total} N on the mesh, wanted are {wanted} N: it misses the surface"
         )
     return nodal
-
-
-def _middles(half: float) -> Floats:
-    number = min(max(math.ceil(2.0 * half / PIECE_MM), 1), MOST_PIECES)
-    return (np.arange(number) + 0.5) / number * 2.0 * half - half
 
 
 def _region(system: TaylorHood, body: Body, rectangles: Rectangles, near: bool) -> Region:

@@ -235,12 +235,8 @@ def _square() -> Floats:
     return np.concatenate([*sides, *(side[:, ::-1] for side in sides)])
 
 
-def _circle() -> Floats:
-    angle = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
-    return np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-_SQUARE, _CIRCLE = _square(), _circle()
+_ANGLE = 2.0 * math.pi * np.arange(32) / 32
+_SQUARE, _CIRCLE = _square(), np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE)])
 """(r, 2) points on the edge of a footprint of half size 1."""
 
 
@@ -483,16 +479,13 @@ def gathered(points: Points, load: Rectangles) -> Rectangles:
         half = np.zeros_like(centre)
         (places, weights) = zip(_gauss(1), _gauss(1), strict=True)
     middle, reach = (low + high) / 2.0, (high - low) / 2.0
-    means = [
-        _means(
-            (centre[:, i] - middle[i]) / reach[i],
-            half[:, i] / reach[i],
-            places[i],
-            weights[i],
-            counts[i],
+    means = []  # of the Chebyshev polynomials over the patches' sides
+    for i in (0, 1):
+        at = (centre[:, i] - middle[i]) / reach[i]
+        values = chebvander(
+            at[:, None] + (half[:, i] / reach[i])[:, None] * places[i], counts[i] - 1
         )
-        for i in (0, 1)
-    ]
+        means.append(np.einsum("kgn,g->kn", values, weights[i] / 2.0))
     # what each node carries of every patch, times the patches' forces
     first, second = (mean @ _lagrange(count) for mean, count in zip(means, counts, strict=True))
     shared = first.T @ (second[:, :, None] * forces[:, None]).reshape(len(forces), -1)
@@ -518,12 +511,6 @@ def _nodes(deep: float, half: float) -> int:
         if deep > 0
         else 10**6
     )
-
-
-def _means(middle: Floats, half: Floats, places: Floats, weights: Floats, count: int) -> Floats:
-    """Return (k, count) means of the Chebyshev polynomials over k intervals."""
-    values = chebvander(middle[:, None] + half[:, None] * places, count - 1)
-    return np.asarray(np.einsum("kgn,g->kn", values, weights / 2.0))
 
 
 @lru_cache(maxsize=64)

@@ -31,7 +31,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, coordinates
 from twin.errors import InputError, MeshError, SolveError
-from twin.parts.material import Cover, Material, Modulus, shear_modulus
+from twin.parts.material import Cover, Material, shear_modulus
 from twin.world.elasticity.factor import GOAL, Factor, Solver
 from twin.world.mesh.elements import inverses, quadrature, shapes, signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
@@ -42,11 +42,6 @@ their extent."""
 
 _CHUNK = 1000
 """Elements that are integrated at once."""
-
-
-def _compressibility(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulus:
-    """Return 1 / kappa = 3 (1 - 2 nu) / E, kappa the bulk modulus; 0 at nu = 1/2."""
-    return 3.0 * (1.0 - 2.0 * poisson_ratio) / youngs_modulus_mpa
 
 
 class TaylorHood:
@@ -99,8 +94,8 @@ class TaylorHood:
 
         @property
         def softness(self) -> float:
-            """1 / kappa, 1/MPa, where the body's E is 1 MPa."""
-            return _compressibility(self.modulus_ratio, self.poisson_ratio)
+            """1 / bulk modulus, 1/MPa, where the body's E is 1 MPa."""
+            return 3.0 * (1.0 - 2.0 * self.poisson_ratio) / self.modulus_ratio
 
     def __init__(
         self,

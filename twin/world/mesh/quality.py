@@ -35,8 +35,8 @@ class Quality:
     ----------
     least_volume_mm3
         Smallest straight tetrahedron.
-    least_dihedral_deg, largest_dihedral_deg
-        Angles between faces of straight tetrahedra.
+    least_dihedral_deg
+        Angle between faces of straight tetrahedra.
     least_scaled_jacobian
         Least sqrt(2) 6 V / (product of the three edges at a corner); 1 for a regular tetrahedron.
     least_jacobian_ratio
@@ -58,7 +58,6 @@ class Quality:
 
     least_volume_mm3: float
     least_dihedral_deg: float
-    largest_dihedral_deg: float
     least_scaled_jacobian: float
     least_jacobian_ratio: float
     largest_offset_mm: float
@@ -71,11 +70,9 @@ class Quality:
     def of(mesh: Mesh, body: Body) -> Quality:
         """Measure a mesh of a body."""
         corner_tets = mesh.tets[:, :4]
-        angles = Quality.dihedral_angles(mesh.points, corner_tets)
         return Quality(
             least_volume_mm3=float(np.min(signed_volumes(mesh.points, corner_tets))),
-            least_dihedral_deg=float(np.min(angles)),
-            largest_dihedral_deg=float(np.max(angles)),
+            least_dihedral_deg=float(np.min(Quality.dihedral_angles(mesh.points, corner_tets))),
             least_scaled_jacobian=float(np.min(_scaled_jacobians(mesh.points, corner_tets))),
             least_jacobian_ratio=float(np.min(mesh.jacobian_ratios())),
             largest_offset_mm=max(0.0, float(np.max(_offsets(mesh, body)))),
