@@ -217,6 +217,8 @@ def test_a_path_that_goes_on_is_solved_from_where_it_ended(
         if state.load.terms:
             moved, known = sensor.displacement(points, state.load), sensor.displacement(points, whole.load)
             assert moved == pytest.approx(known, abs=1e-9 * np.abs(known).max())
+        if strained := state.load.strained:
+            assert strained.error.markers == pytest.approx(whole.load.strained.error.markers, rel=1e-6)
         assert all(one is other for one, other in zip(before.path, state.path, strict=False)), "not solved again"
         before = state
 

@@ -37,7 +37,7 @@ LIMITS = {
 _SENTENCES = {
     "elastic.largest_displacement_mm": "The marker that moves most moves by {}.",
     "elastic.displacement_error": "The computed displacements are off by at most {} of the largest "
-    "one; this is an estimate of the mesh's error.",
+    "one; this is an estimate of the mesh's error, at finite strain of all errors.",
     "elastic.markers_error": "All causes together, the markers' true displacements are off by at "
     "most {} of the largest one.",
     "elastic.force_error": "The force of the simulated probe is off by {}; 0 % where the press is "

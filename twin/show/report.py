@@ -39,7 +39,8 @@ _UNITS = {**UNITS, "deg": "°", "s": "s", "mm2": "mm²", "mm3": "mm³"}
 _NAMES = {
     "elastic.displacement_error": (
         "displacement error",
-        "of the finite elements alone: estimated, over the largest displacement",
+        "estimated, over the largest displacement: of the finite elements alone, at finite strain "
+        "by all causes",
     ),
     "elastic.largest_displacement_mm": ("largest displacement", "of a marker, for comparison"),
     "elastic.largest_strain": ("largest strain", "principal, by linear theory, at a marker"),

@@ -84,7 +84,10 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[str]:
 
         return looked_over(file, overrides)
     scene = load_scene(name, overrides)
-    Sensor(scene).actual  # noqa: B018  refuses a marker outside the body
+    sensor = Sensor(scene)
+    sensor.actual  # noqa: B018  refuses a marker outside the body
+    if scene.press is not None or scene.tractions:
+        sensor.check_law(None if scene.tractions else scene.press)
     _mesh_own_body(scene)
     lines = [f"{file}: ok"]
     lines += [f"warning: {doubt}" for doubt in doubts(scene)]

@@ -23,7 +23,7 @@ from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.load import Load
 from twin.parts.press import Press, Step
 from twin.parts.scene import Scene
-from twin.study.sensor import Sensor
+from twin.study.sensor import Motion, Sensor
 from twin.theory.relaxation import Hereditary
 from twin.world.contact.pressing import PathMemory
 
@@ -39,11 +39,15 @@ class _Happened:
 
     marker_displacement_mm: Points
     marker_shift_px: Pixels
-    displacement_error: float
+    motion: Motion
     force_n: Floats
     total_force_n: Floats
     total_torque_nmm: Floats
     state: ContactState | None
+
+    @property
+    def displacement_error(self) -> float:
+        return self.motion.error_of(self.state)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -289,7 +293,7 @@ class Environment:
         truth = _Happened(
             marker_displacement_mm=motion.displacement_mm,
             marker_shift_px=sensor.project(rest + motion.displacement_mm) - sensor.project(rest),
-            displacement_error=motion.error,
+            motion=motion,
             force_n=into_cells(field.site_mm, patches.centre_mm, patches.force_n),
             total_force_n=patches.total_force_n,
             total_torque_nmm=patches.total_torque_nmm,

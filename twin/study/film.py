@@ -431,7 +431,7 @@ def _row(sensor: Sensor, motion: Motion, state: ContactState | None) -> dict[str
         "marker_px": sensor.project(sensor.actual.markers.points + motion.displacement_mm),
         "marker_outline_px": outlines.centroid_px,
         "marker_visible": outlines.visible,
-        "displacement_error": motion.error,
+        "displacement_error": motion.error_of(state),
         "probe_move_mm": nothing if state is None else state.move_mm,
         "linearisation_error": 0.0 if state is None else state.validity.linearisation_error,
     }

@@ -545,7 +545,6 @@ def _elastic_errors(
     moved = np.linalg.norm(truth.marker_displacement_mm, axis=1)
     strain, turn = largest_strain_and_turn(motion.gradient)
     figures: dict[str, Any] = {
-        "displacement_error": motion.error,
         "largest_displacement_mm": float(moved.max()) if len(moved) else None,
         "contact_residual": None if state is None else state.residual,
         "largest_strain": strain,
@@ -561,8 +560,9 @@ def _elastic_errors(
         figures["creep_error"] = float(np.linalg.norm(elastic - true) / np.linalg.norm(true))
     reasons = {}
     error = None if state is None else state.error
-    for name in ("force", "indentation", "traction", "markers"):
-        value = getattr(error, name, None)
+    stated = {key: getattr(error, key, None) for key in ("force", "indentation", "traction")}
+    stated |= {"markers": getattr(error, "markers", None), "displacement": motion.error_of(state)}
+    for name, value in stated.items():
         if value is None or not math.isfinite(value):
             value = None
             reasons[f"{name}_error"] = (

@@ -90,7 +90,7 @@ class Motion:
     gradient
         (n, 3, 3) displacement gradients du_i/dx_j there.
     error
-        Estimated largest error of the displacements over the largest displacement.
+        Estimated largest error of the displacements over the largest displacement: of the mesh.
     cover
         Motion of the cover and of specks where the camera sees them, and probes that it sees; None
         where pictures don't show any.
@@ -100,6 +100,12 @@ class Motion:
     gradient: Floats
     error: float
     cover: CoverMotion | None = None
+
+    def error_of(self, state: ContactState | None) -> float:
+        """Return ``error``; after a press at finite strain that of all causes."""
+        if state is None or state.load.strained is None or state.error is None:
+            return self.error
+        return state.error.markers
 
 
 def _make(nominal: Scene) -> _Actual:
@@ -335,16 +341,32 @@ class Sensor:
         RecipeError
             `Material.law` includes large strain, and the load is not that of one press.
         """
-        law = self.nominal.material.law
-        if law == "linear" or not load.terms:
+        if self.nominal.material.law == "linear" or not load.terms:
             return None
         if load.strained is None:
-            raise RecipeError(
-                f"material.law = {law}: only one press at a time is solved at finite strain, no "
-                "load of given tractions or of several presses; press a probe, or set "
-                "material.law = linear"
-            )
+            self.check_law(None)
         return load.strained
+
+    def check_law(self, press: Press | None) -> None:
+        """Raise a RecipeError or InputError where `Material.law` doesn't solve a press, or, with
+        None, other loads."""
+        scene = self.actual.scene
+        law = scene.material.law
+        if law == "linear":
+            return
+        from twin.world.contact.body_strain import BodyStrain
+
+        if press is None:
+            problem = (
+                "only one press at a time is solved at finite strain, no load of given tractions "
+                "or of several presses; press a probe"
+            )
+        elif problem := self._linear_only():
+            problem += " is linear theory only; leave it out"
+        if problem:
+            raise RecipeError(f"material.law = {law}: {problem}, or set material.law = linear")
+        assert press is not None
+        BodyStrain.check(press, scene.body, scene.material)
 
     @one_blas_thread()
     def motion(self, load: Load) -> Motion:
@@ -554,11 +576,7 @@ class Sensor:
         )
         actual = self.actual
         points = actual.markers.points
-        if actual.scene.material.law != "linear" and (problem := self._linear_only()):
-            raise RecipeError(
-                f"material.law = {actual.scene.material.law}: {problem} is linear theory only; "
-                "leave it out, or set material.law = linear"
-            )
+        self.check_law(wanted)
 
         def linear(one: Press, memory: PathMemory | None = None) -> ContactState:
             return solve(

@@ -93,6 +93,7 @@ def test_difference_to_linear_theory_is_that_of_another_code(case):
     rounded = 4e-4 if case.get("edge_mm") == 0.05 else 0.0  # solved with a rim of 0.1 mm
     assert left < 2.5e-4 + case["own_error"] + rounded < missed / 10
     assert left < state.error.strain.markers + case["own_error"] < 1e-3
+    assert sensor.quick_motion(state.load).error_of(state) == state.error.markers > state.error.strain.markers
     assert state.indentation_mm / straight.indentation_mm - 1.0 == pytest.approx(deeper(case), abs=2e-3)
     touched = min(case["contact_mm"], case["diameter_mm"] / 2)  # another code's end passes a sharp rim by 1.5 %
     assert state.contact_radius_mm == pytest.approx(touched, rel=1e-2 if case["kind"] == "sphere" else 1.5e-2)
@@ -587,9 +588,10 @@ def test_what_is_not_solved_on_a_whole_body_is_refused_with_its_cause(press, rub
     ],
 )
 def test_press_that_is_not_solved_is_refused_with_its_cause(press, words):
-    given = {"probe": BALL, "force_n": (0, 0, 1.0)} | press
-    with pytest.raises(TwinError, match=f"material.law = neo_hookean.*{words}"):
-        made().press(twin.Press(**given))
+    sensor, given = made(), twin.Press(**({"probe": BALL, "force_n": (0, 0, 1.0)} | press))
+    for deed in (sensor.press, sensor.check_law):
+        with pytest.raises(TwinError, match=f"material.law = neo_hookean.*{words}"):
+            deed(given)
 
 
 def test_linearity_that_is_not_measured_on_a_curved_body_stays_estimated_and_says_why(somewhere):

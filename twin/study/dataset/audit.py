@@ -21,7 +21,7 @@ FIGURES = {
     "site_force": "tractions on the sites, norm of the difference over the norm",
     "indentation": "indentation, relative",
     "outline_px": "visible outlines' centroids, px",
-    "estimate": "column displacement_error: the same, for given tractions",
+    "estimate": "column displacement_error, of the same",
 }
 
 

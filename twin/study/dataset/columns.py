@@ -90,7 +90,7 @@ _LINEARISED = (
     "material.law the one found"
 )
 _SITES = "tractions summed over the cells of the sites; sums to force_n"
-_MOTION_ERROR = "estimated largest error over the largest displacement, tractions given"
+_MOTION_ERROR = "estimated largest error over the largest displacement; linear: load given"
 _ACTUAL = "its actual material, layers and camera as JSON (the nominal ones are in meta)"
 _LAYERS = "marker layers in order, as JSON: [[name, count], ...]"
 _OUTLINES = "coverage centroids of the visible outlines"

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Picture
+from twin.arrays import Floats, Picture
 from twin.errors import ContactError, RecipeError, TwinError
 from twin.files import PINNED, cache_folder, png_bytes
 from twin.parts.load import Load, Rectangles
@@ -220,7 +220,7 @@ def _rows(made: _MadeSensor, sample: int, press: Press) -> list[_Row]:
             row["traction_error"] = one.error.traction
         exposure = 1 + sample * MOST_STEPS + number
         own = partial(motions, step)
-        rows.append(row | _truth_of(made, one.load, own, _slips_of(one), exposure, picture))
+        rows.append(row | _truth_of(made, one, own, exposure, picture))
     return rows
 
 
@@ -233,28 +233,23 @@ def _at_rate(plan: Plan, press: Press) -> tuple[Press, Floats | None]:
     return at_frames(press, rate)
 
 
-def _slips_of(state: ContactState) -> list[Bools]:
-    """Return whether each patch of every term of a load slips on its probe."""
-    return [one.slip for one in (state, *state.also) if len(one.slip)]
-
-
 def _truth_of(
     made: _MadeSensor,
-    load: Load,
+    pressed: Load | ContactState,
     motion_of: Callable[[], Motion] | None = None,
-    slips: list[Bools] | None = None,
     exposure: int | None = None,
     picture: Callable[[int, int], Picture] | None = None,
 ) -> _Row:
     """Return the columns' values under a load; pictures and outlines only with an exposure.
 
-    ``motion_of`` computes the markers' motion, where that is done already. ``slips`` are the
-    slipping patches of each of the load's terms; None without a probe.
+    ``motion_of`` computes the markers' motion, where that is done already.
     ``picture`` makes that of an exposure over motion, in the light of a frame; None: the load's
     own.
     """
     sensor = made.sensor
     needs = made.plan.needs
+    state = None if isinstance(pressed, Load) else pressed
+    load = pressed if isinstance(pressed, Load) else pressed.load
     groups = [sensor.rectangles(Load((term,))) for term in load.terms] or [sensor.rectangles(load)]
     patches = Rectangles.joined(groups)
     row: _Row = {
@@ -264,16 +259,17 @@ def _truth_of(
         "surface_force_n": patches.force_n,
     }
     if "sites" in needs:
+        slips = [one.slip for one in (state, *state.also) if len(one.slip)] if state else None
         found = in_cells(made.grid, sensor.actual.scene.body, groups, slips)
         row |= dict(zip(("site_force_n", "site_contact", "site_slip"), found, strict=True))
     pictured = bool(needs & {"picture", "outlines"})
     if not pictured and "motion" not in needs:
         return row
     motion = made.motion(load) if motion_of is None else motion_of()
-    row |= {"marker_displacement_mm": motion.displacement_mm, "displacement_error": motion.error}
+    moved, error = motion.displacement_mm, motion.error_of(state)
+    row |= {"marker_displacement_mm": moved, "displacement_error": error}
     if sensor.nominal.camera is not None:
-        moved = sensor.actual.markers.points + motion.displacement_mm
-        row["marker_pressed_px"] = sensor.project(moved)
+        row["marker_pressed_px"] = sensor.project(sensor.actual.markers.points + moved)
     return (
         row | _seen(made, motion, exposure, picture) if pictured and exposure is not None else row
     )
@@ -507,8 +503,7 @@ def _differences(made: _MadeSensor, values: Table) -> dict[str, float]:
             states = states[0].path[hardest], states[1].path[hardest]
         load = states[0].load
         usual, best = (
-            _truth_of(one, state.load, slips=_slips_of(state))
-            for one, state in zip((made, finer), states, strict=True)
+            _truth_of(one, state) for one, state in zip((made, finer), states, strict=True)
         )
         out["indentation"] = _relative(states[0].indentation_mm, states[1].indentation_mm)
     if "site_force_n" in usual and not plan.scene.tractions:

@@ -13,9 +13,8 @@ A flat face's rim is rounded by a tenth of its half width at least, on which the
 depends.
 
 Validity: rigid spheres, upright cylinders, pillars and cones, pressed along their ways without
-friction on a block, a finger or a dome, several of them by forces; one sphere with friction, which
-sticks or slips, on a block or a finger, pressed by a force, moved sideways and turned about its way
-by forces, a torque or motions; nu from 0.45.
+friction on a block, a finger or a dome, several of them by forces; one sphere with friction on a
+block or a finger, pressed by a force, moved sideways and turned about its way; nu from 0.45.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import numpy as np
 
@@ -37,7 +36,7 @@ from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere
 from twin.world.contact.contact_state import ContactState, Share
 from twin.world.contact.mixed_rubber import MixedRubber
 from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, TURN, Approach, Z, half_extent
-from twin.world.contact.round_slab import FiniteStrain
+from twin.world.contact.round_slab import FiniteStrain, SlabStrain
 from twin.world.contact.whole_body import (
     LAST_STEP,
     PART_STEP,
@@ -111,8 +110,7 @@ meshes miss what rubber does that is held and stretched far."""
 
 _GUIDED = 0.12
 """The least error of what linear theory leaves out of a force or torque that a motion holds, over
-that: 0.11 under a sphere that sticks and is turned by 20 degrees, up to 0.065 under two that slip
-(docs/validity.md)."""
+that (docs/validity.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,16 +123,11 @@ class _Pair(FiniteStrain.Solutions):
 class BodyStrain(FiniteStrain):
     """What linear theory leaves out of one state of a press on a whole body.
 
-    Parameters and errors are those of `twin.world.contact.round_slab.SlabStrain`. It takes about 2
-    s under a sphere, 3 to 20 s under others; with ``coarse`` the others are refused. With ``like``
-    the mesh is that of a nearly equal press, so that the solutions differ by the press alone, and
-    the steps begin at its solutions. A probe with friction needs ``path``, all its states, and
-    takes ``like`` from the state before.
-
-    Raises
-    ------
-    InputError
-        The press is not of the kind that is solved at finite strain.
+    Parameters and errors are those of `twin.world.contact.round_slab.SlabStrain`, and an InputError
+    where a press isn't solved. It takes about 2 s under a sphere, 3 to 20 s under others, which
+    ``coarse`` refuses. ``like`` is a nearly equal press, whose mesh is used and at whose solutions
+    steps begin. A probe with friction needs ``path``, all its states, and ``like`` from the state
+    before.
     """
 
     _pair: _Pair
@@ -156,14 +149,9 @@ class BodyStrain(FiniteStrain):
         approaches = [_rounded(one, _LEAST_RIM) for one in sharp]
         self._rounder = [_rounded(one, _COARSE_RIM) for one in sharp]
         axes = tuple(approach.axes for approach in approaches)
-        problem = _unsolved(press, body, material, state, axes, path)
-        if not problem and coarse:
-            problem = _too_slow(press, body)
-        if problem:
-            raise InputError(
-                f"material.law = {material.law}: {problem} at finite strain; change it, or set "
-                "material.law = linear"
-            )
+        _refuse(material, _unsolved(press, body, material) or _unsolved_state(press, state, path))
+        if coarse:
+            _refuse(material, _too_slow(press, body))
         self.axes = axes
         self._body = body
         self._material = material
@@ -192,11 +180,16 @@ class BodyStrain(FiniteStrain):
         self._first = _COARSE if coarse else _FINE
         super().__init__(axes, state, watched, self._shares.change, _TOLERANCE)
 
+    @staticmethod
+    def check(press: Press, body: Body, material: Material) -> None:
+        """Raise an InputError where a press is solved neither on a whole body nor on a slab."""
+        if not SlabStrain.solves(press, body, material):
+            _refuse(material, _unsolved(press, body, material))
+
     @cached_property
     def error(self) -> Share:
         """How far this may be off: what a coarser mesh changes, or a share of what linear theory
-        leaves out. Where a probe sticks, much stretched rubber adds to the error, and so does what
-        `more_force_n` misses."""
+        leaves out, and what a probe that sticks adds."""
         found = super().error
         places = [_place(one) for one in _probes(self._state)]
         away = [np.linalg.norm(self._watched - middle, axis=1) / size for middle, size in places]
@@ -257,8 +250,8 @@ class BodyStrain(FiniteStrain):
     def _solved(self, coarser: bool) -> _Pair:
         """Return both solutions on a mesh; where a press is nearly equal, on its own."""
         fineness = _COARSE if coarser else self._first
-        like = None if coarser or self._like is None else self._like._pair
-
+        before = {} if self._like is None else vars(self._like)
+        like = before.get("_coarser" if coarser else "_pair") if self._rubs or not coarser else None
         contacts = self._contacts
         if coarser:
             pairs = zip(self._rounder, contacts, strict=True)
@@ -486,8 +479,8 @@ def _place(state: ContactState) -> tuple[Floats, float]:
 
 
 def _touched(path: Sequence[ContactState], number: int = 0) -> list[tuple[Floats, float]]:
-    """Return middles and radii of a probe's contacts along a path, none much like one before, and
-    of more on the way, as a long slide touches between the ends of its steps, too."""
+    """Return middles and radii of a probe's contacts along a path and, as a long slide touches
+    there, too, between the ends of its steps; none much like one before."""
     near = [_place(_probes(one)[number]) for one in path if one.load.terms]
     found = near[:1]
     for (before, small), (after, size) in pairwise(near):
@@ -509,21 +502,16 @@ def _too_slow(press: Press, body: Body) -> str:
     return "" if single and not isinstance(body, Block) else "such a press takes 3 to 20 s"
 
 
-def _unsolved(
-    press: Press,
-    body: Body,
-    material: Material,
-    state: ContactState,
-    axes: tuple[Floats, ...],
-    path: Sequence[ContactState],
-) -> str:
-    """Return why a press isn't solved at finite strain, and what is; empty if it is."""
+def _unsolved(press: Press, body: Body, material: Material) -> str:
+    """Return why a press isn't solved on a whole body, and what is; empty if it is."""
     if not isinstance(body, Block | Finger | Dome):
         return f"body.shape = {body.geometry()['shape']}: blocks, fingers, domes are solved"
     if material.poisson_ratio < LEAST_POISSON:
         return f"material.poisson_ratio: as made below {LEAST_POISSON:g}, from which it is solved"
-    for one, own, there in zip((press, *press.also), axes, _probes(state), strict=True):
-        held = np.array([by_force for by_force, _ in one.in_own_axes(own)])
+    for one in (press, *press.also):
+        controls = one.in_own_axes(Approach.of_press(one, body).axes)
+        held = np.array([by_force for by_force, _ in controls])
+        turned = np.abs(np.where(held, 0.0, [given for _, given in controls])).max(axis=0)
         if not isinstance(one.probe, Sphere | Cylinder | Pillar | Cone):
             kind = one.probe.kind
             return f"press.probe.kind = {kind}: spheres, cylinders, pillars, cones are solved"
@@ -540,16 +528,28 @@ def _unsolved(
                 )
             if not held[:, Z].all():
                 return "press: a probe with friction is solved where a force presses it"
-            given = [np.where(held, 0.0, value) for held, value in one.in_own_axes(own)]
-            if np.any(np.array(given)[:, ABOUT_X:TURN]):
+            if turned[ABOUT_X:TURN].any():
                 return "press.steps: a probe with friction that doesn't roll is solved"
-            before = path[: next((n for n, other in enumerate(path) if other is state), 0)]
-            if not all(other.load.terms for other in before):
-                return "press.steps: a probe with friction is solved until it is lifted"
-        elif np.any(there.turns_deg) or held[:, np.arange(MOTIONS) != Z].any():
+        elif turned[ABOUT_X:].any() or held[:, np.arange(MOTIONS) != Z].any():
             return "press: probes that are guided along their way and don't turn are solved"
         if press.also and not held[:, Z].all():
             return "press.also: several probes are solved where forces press them all"
-        if len(there.pressure_mpa) == 0:
-            return "press: several probes are solved where all touch"
     return ""
+
+
+def _unsolved_state(press: Press, state: ContactState, path: Sequence[ContactState]) -> str:
+    """Return why a state of a press isn't solved on a whole body; empty if it is."""
+    before = takewhile(lambda other: other is not state, path)
+    if press.friction > 0.0 and not all(other.load.terms for other in before):
+        return "press.steps: a probe with friction is solved until it is lifted"
+    if not all(len(one.pressure_mpa) for one in _probes(state)):
+        return "press: several probes are solved where all touch"
+    return ""
+
+
+def _refuse(material: Material, problem: str) -> None:
+    if problem:
+        raise InputError(
+            f"material.law = {material.law}: {problem} at finite strain; change it, or set "
+            "material.law = linear"
+        )

@@ -21,9 +21,9 @@ an unknown.
 **Steps.** Newton's, with an active set of points. Those of the linear solution begin at the
 indentation and the contact of `pressing`, those of the other one at the linear solution.
 
-**Mesh.** Pressure falls to 0 as a square root where the contact ends, so elements are small there
-and grow away from it: what they leave out then depends little on where in an element it ends. Under
-a cylinder that is the rim; a sharp one is solved as one rounded by a fiftieth of the diameter.
+**Mesh.** Pressure falls to 0 as a square root where the contact ends, so elements are small there:
+what they leave out then depends little on where in one it ends. Under a cylinder that is the rim; a
+sharp one is solved as one rounded by a fiftieth of the diameter.
 
 Validity: one rigid sphere, cylinder, or cone, pressed straight and without friction on a block, its
 axis five contact radii or more from the sides; nu from 0.45.
@@ -80,13 +80,13 @@ _GROWTH = 1.4
 _LARGEST = 0.08
 _DEEPEST = 0.2
 """Elements where the contact may end; those along a cylinder's rim, at least, and their largest
-length over its radius; the growth of the others away from there, the largest length inside, over
-the radius where the contact may end, and the largest height over the slab's, as thin rubber shears
-most where it is held."""
+length over its radius; the growth of the others, the largest length inside, over the radius where
+the contact may end, and the largest height over the slab's, as thin rubber shears most where it is
+held."""
 
 _FITTED = 4
 _BEYOND = 0.05, 0.4
-"""Borders of elements from which the contact's end is extrapolated, at least, and the least and
+"""Least number of borders of elements from which the contact's end is extrapolated; the least and
 largest share of the force beyond them."""
 
 _COARSER = 0.7
@@ -97,11 +97,11 @@ _RIM_OVER_CHANGE = 0.7, 1.5
 _LEAST_ERROR = 1e-4
 _LEAST_SHARE = 0.004
 """How many times as many elements the mesh has that estimates the error, and one under a cylinder,
-where both meshes may otherwise miss the same 0.05 %; error over the change to the coarser mesh,
-under spheres, under cones, whose tip ends inside an element, and under cylinders whose rim is
-solved as it is or rounder; and what is added: the springs' film is in both, and the change may be
-small by chance: so much, and a share of what linear theory leaves out, as it is under rubber that
-stiffens much. Fitted to presses whose error is known (docs/validity.md)."""
+where both may otherwise miss the same 0.05 %; error over the change to the coarser mesh, under
+spheres, under cones, whose tip ends inside an element, and under cylinders whose rim is solved as
+it is or rounder; and what is added, as the change may be small by chance: so much, and a share of
+what linear theory leaves out, for rubber that stiffens. Fitted to presses whose error is known
+(docs/validity.md)."""
 
 _TOLERANCE = 1e-5
 _STEPS = 20
@@ -239,10 +239,8 @@ class SlabStrain(FiniteStrain):
 
     Parameters
     ----------
-    press, body
-        The press; `solves` is True for it.
-    material
-        Its law is not linear.
+    press, body, material
+        The press; `solves` is True for it. The law is not linear.
     state
         The press by linear theory: a state in its path.
     watched
@@ -253,7 +251,7 @@ class SlabStrain(FiniteStrain):
     Raises
     ------
     ContactError
-        Newton's steps don't converge: cause and remedy.
+        Newton's steps don't converge.
     """
 
     def __init__(
@@ -302,20 +300,23 @@ class SlabStrain(FiniteStrain):
         return super().error.plus(Share(indentation=least, markers=least))
 
     @staticmethod
-    def solves(press: Press, body: Body, material: Material, state: ContactState) -> bool:
-        """Return whether a press is of the kind that is solved on a slab: see the module."""
-        return (
+    def solves(
+        press: Press, body: Body, material: Material, state: ContactState | None = None
+    ) -> bool:
+        """Return whether a press is solved on a slab; without a state, whether it may be."""
+        kind = (
             not press.also
             and isinstance(body, Block)
             and isinstance(press.probe, Sphere | Cylinder | Cone)
             and press.friction == 0.0
-            and not np.any(state.turns_deg)
             and not any(press.tilt_deg)
             and press.direction in (None, (0, 0, 1))
             and material.poisson_ratio >= LEAST_POISSON
-            and _to_side_mm(body, Approach.of_press(press, body).axis_mm + state.move_mm)
-            >= _FROM_SIDES * state.contact_radius_mm
         )
+        if not kind or state is None:
+            return kind
+        away = _to_side_mm(body, Approach.of_press(press, body).axis_mm + state.move_mm)
+        return not np.any(state.turns_deg) and away >= _FROM_SIDES * state.contact_radius_mm
 
     def _least_edge_mm(self, probe: Cylinder) -> float:
         return min(_LEAST_EDGE * probe.diameter_mm, _LEAST_OF_THICKNESS * self._thick_mm)
@@ -636,9 +637,8 @@ class _Touch:
     def end_mm(self, pressure: Floats, displacement: Floats | None = None) -> float:
         """Return how far from the axis the contact ends, mm: at rest, or after a displacement.
 
-        Under Hertz's pressure the force beyond r is as (a^2 - r^2)^1.5, and under others nearly so
-        close to the end. Its power 2/3 is extrapolated over r^2 by a parabola: a sum over elements
-        has less of their noise than the pressures.
+        Close to the end the force beyond r is nearly as (a^2 - r^2)^1.5. Its power 2/3 is
+        extrapolated over r^2 by a parabola: a sum has less noise than the pressures.
         """
         ring = (pressure * self.area_mm2).reshape(-1, _POINTS).sum(axis=1)
         beyond = np.append(np.cumsum(ring[::-1])[::-1], 0.0) / ring.sum()
