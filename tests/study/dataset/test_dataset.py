@@ -193,7 +193,7 @@ def test_large_strain_is_in_the_motion_of_a_samples_markers(tmp_path: Path) -> N
     law = {"material__law": "neo_hookean"}
     found = {}
     for name, given in (("straight", {}), ("bent", law)):
-        make(tmp_path / name, 1, small_scene((*NO_PICTURE, "linearisation_error"), **given))
+        make(tmp_path / name, 1, small_scene((*NO_PICTURE, "linearisation_error", "displacement_error"), **given))
         found[name] = twin.open_dataset(tmp_path / name)[0]
     scene = twin.load_scene(tmp_path / "bent" / "meta" / "scene.toml")
     assert scene.material.law == "neo_hookean"
