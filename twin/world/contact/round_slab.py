@@ -2,8 +2,7 @@
 surface, and contact with the deformed instead of the undeformed surface.
 
 Near the probe a block is a slab as thick, and what linear theory leaves out decays like the third
-power of the distance, so that the slab may end where it likes: it is solved as a body of
-revolution, in a few tenths of a second.
+power of the distance, so that a slab of revolution is solved, in a few tenths of a second.
 
 **Rubber.** Quadratic displacement (radial, along z) and linear pressure on rectangles; the stress
 is a `twin.world.elasticity.strain_law.StrainLaw`, whose tangent at rest is linear theory.
@@ -241,10 +240,8 @@ class SlabStrain(FiniteStrain):
     ----------
     press, body, material
         The press; `solves` is True for it. The law is not linear.
-    state
-        The press by linear theory: a state in its path.
-    watched
-        (n, 3) points inside the body for which the error counts, mm.
+    state, watched
+        See `FiniteStrain`.
     coarse
         Whether a coarser mesh and no load steps do: half of the time, for the size alone.
 
