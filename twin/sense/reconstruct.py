@@ -468,8 +468,8 @@ def _bend_of(problem: Problem, force: Floats) -> Floats:
 
 
 TURNS = 3
-"""Solutions after the first: of one layer the first finds a quarter of the force, the second still
-lacks 4 % of it, the third 1 %."""
+"""Solutions after the first: of one layer the first finds a quarter to a third of the force, the
+next ones 0.75 to 0.86, 0.98 to 1.00 and 1.00 to 1.02 of it."""
 
 AROUND = 1.0
 """Standard deviation of the average over neighbours, sites."""
@@ -507,8 +507,8 @@ def _localised(problem: Problem, force_n: Floats) -> Problem:
         gram={},
         quadratics={},
     )
-    factors = Factors(
-        left=factors.left,
+    factors = replace(
+        factors,
         singular=factors.singular / problem.size_px,
         back=back,
         null=null,
@@ -518,13 +518,13 @@ def _localised(problem: Problem, force_n: Floats) -> Problem:
 
 
 WITHIN_CELL = 120**-0.5
-"""Second difference of the response to a force from site to site that a force between two of them
-is off by, if sites share it as a lever does: x (1 - x)/2, root mean square over places x."""
+"""Error of the response to a force between two sites that share it as a lever does, over the second
+difference of the response from site to site: x (1 - x)/2, root mean square over places x."""
 
 
 def _with_model_error(problem: Problem, whole: Floats, force_n: Floats) -> tuple[Problem, Floats]:
-    """Return the problem and its whitened data with what is not known of where in the cells
-    ``force_n`` (k, 3) acts in the noise."""
+    """Return the problem and its whitened data with the model error in the noise: where in a site's
+    cell its part of ``force_n`` (k, 3) acts isn't known."""
     base = problem.base
     field = np.pad(force_n.reshape(*problem.calibration.grid, 3), ((1, 1), (1, 1), (0, 0)))
     along = np.diff(field, 2, axis=0)[:, 1:-1]
@@ -551,14 +551,13 @@ def _solved_locally(
     """
     found = smooth = _solved(problem, whole, "auto", robust, camera)
     rule = "likelihood" if weight == "auto" else weight
-    moved = np.zeros(3)
     for _ in range(TURNS):
         if not found.force_n.any():
             return smooth, smooth.sd_force_n, np.zeros(3)
         before = found.force_n
         part, data = _with_model_error(problem, whole, before)
         found = _solved(_localised(part, before), data, rule, robust, camera)
-        moved = (found.force_n - before).sum(axis=0)
+    moved = (found.force_n - before).sum(axis=0)
     carries = found.problem.factors.back.any(axis=1).reshape(-1, 3)
     return found, np.where(carries, found.sd_force_n, smooth.sd_force_n), moved
 

@@ -560,8 +560,9 @@ def _elastic_errors(
         figures["creep_error"] = float(np.linalg.norm(elastic - true) / np.linalg.norm(true))
     reasons = {}
     error = None if state is None else state.error
-    stated = {key: getattr(error, key, None) for key in ("force", "indentation", "traction")}
-    stated |= {"markers": getattr(error, "markers", None), "displacement": motion.error_of(state)}
+    names = ("force", "indentation", "traction", "markers")
+    stated = {name: getattr(error, name, None) for name in names}
+    stated["displacement"] = motion.error_of(state)
     for name, value in stated.items():
         if value is None or not math.isfinite(value):
             value = None
