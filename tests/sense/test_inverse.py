@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 from half_space_sensor import as_found, disk, finger_sensor, flat_sensor, pressed, shifts
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import correlate1d, gaussian_filter
 
 from benchmarks.inverse import widths
 from twin.judge.score import into_cells
@@ -126,24 +126,37 @@ def expected_sizes(force, grid):
 
 @pytest.mark.parametrize("lost", [False, True])
 def test_it_solves_its_own_equation(lost):
-    """(H^T H + w A^-1 Q A^-1) F = H^T d on the sites that carry force, twice over; also where markers are lost."""
+    """Sites that carry force solve (R^T R + w A^-1 Q A^-1) F = R^T d, three times; also where markers are lost.
+
+    Row i of R and d is over what isn't known of shift i, px: .002 of noise, and the second differences
+    of its response from site to site, along and across, times sqrt(mean (x (1 - x)/2)^2) over x in 0..1.
+    """
     markers, _, calibration = FLAT
     found = pressed(FLAT, (3, 1), 8.0, (0.3, 0, 2.0), noise=0.002)
     shift = found.shift_px.copy()
     if lost:
         shift[::40] = np.nan
-    found = dataclasses.replace(found, shift_px=shift, usual_sd_px=np.full(len(markers), 0.05))
-    weight, seen = 0.02, np.isfinite(shift.ravel())
+    found = dataclasses.replace(found, shift_px=shift, usual_sd_px=np.full(len(markers), 0.002))
+    omega_px2, seen = 1e-4, np.isfinite(shift.ravel())
     force, q = reconstruct(found, calibration).force_n, METHODS["local"].matrix(calibration.grid)
-    for _ in range(2):
+    places = np.linspace(0, 1, 1001)
+    uneven = np.sqrt(np.trapezoid((places * (1 - places) / 2) ** 2, places))
+    for _ in range(3):
         there = np.repeat(expected_sizes(force, calibration.grid), 3)
         carries = there > 0
         assert 0.05 < carries.mean() < 0.8
-        rows = calibration.transfer[np.ix_(seen, carries)] / 0.05
+        field = force.reshape(*calibration.grid, 3)
+        model = 0.0
+        for axis in (0, 1):
+            change = correlate1d(field, [1, -2, 1], axis, mode="constant")
+            model += ((calibration.transfer @ change.ravel()).reshape(-1, 2) ** 2).sum(axis=1) / 2
+        sd = np.repeat(np.sqrt(0.002**2 + uneven**2 * model), 2)
+        weight, sd = omega_px2 * np.mean(sd**-2.0) / 2, sd[seen]
+        rows = calibration.transfer[np.ix_(seen, carries)] / sd[:, None]
         matrix = q[np.ix_(carries, carries)] / np.outer(there[carries], there[carries])
         force = np.zeros_like(force)
-        force.ravel()[carries] = np.linalg.solve(rows.T @ rows + weight * matrix, rows.T @ shift.ravel()[seen] / 0.05)
-    ours = reconstruct(found, calibration, "local", weight * 2 * 0.05**2).force_n
+        force.ravel()[carries] = np.linalg.solve(rows.T @ rows + weight * matrix, rows.T @ (shift.ravel()[seen] / sd))
+    ours = reconstruct(found, calibration, "local", omega_px2).force_n
     assert ours == pytest.approx(force, rel=1e-5, abs=1e-8)
     assert not ours.ravel()[~carries].any()
 
