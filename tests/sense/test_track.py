@@ -540,7 +540,7 @@ def test_states_say_what_is_wrong():
     rest = picture(0.0, 1)
     found = track(rest, expose(drawn, 2), LAYOUT)
     assert found.states[10] == "dim"
-    assert found.states[20] == "occluded"
+    assert found.states[20] == "partly hidden"
     lost = track(rest, picture(shift, 3), LAYOUT)
     assert lost.states[30] == "missing"
     close = np.zeros_like(shift)
@@ -577,13 +577,17 @@ def test_a_marker_partly_hidden_in_the_grounds_colour_is_measured_by_the_part_in
         assert (np.hypot(*error.T) < np.maximum(5 * found.sd_px[seen], 0.1)).all()
 
 
-@pytest.mark.parametrize(("diameter", "kept"), [(10.0, 0.4), (15.0, 0.85)])
-def test_a_marker_of_which_half_is_hidden_is_measured_by_the_other_half(diameter, kept):
-    """The fit started at the middle of the part in sight, and did not reach the edge: one in twenty was kept."""
+@pytest.mark.parametrize(
+    ("diameter", "seed", "kept"), [(10.0, 0, 0.4), (10.0, 2, 0.5), (10.0, 3, 0.25), (15.0, 0, 0.9)]
+)
+def test_a_marker_of_which_half_is_hidden_is_measured_by_the_other_half(diameter, seed, kept):
+    """Spots of half a marker were taken for others: all were ambiguous (seed 2), or one was 1.2 px off (3)."""
     card, some = Card(diameter), np.arange(0, 143, 5)
-    shift = card.shifts(10)
-    drawn = hidden(card, card.draw(shift), shift, some, 0.5, 0)
-    found = track(expose(card.draw(), 1), expose(drawn, 20), card.layout)
+    shift = card.shifts(10 + seed)
+    drawn = hidden(card, card.draw(shift), shift, some, 0.5, seed)
+    found = track(expose(card.draw(), 1), expose(drawn, 20 + seed), card.layout)
+    assert np.delete(found.seen, some).all()
+    assert (found.states[some] == "partly hidden").all()
     error, sd = (found.shift_px - shift)[some], found.sd_px[some, None]
     assert found.seen[some].mean() > kept
     assert np.nanmedian(np.abs(error)) < 0.04

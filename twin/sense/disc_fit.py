@@ -325,7 +325,9 @@ class DiscFit(SoftWindow):
 
     def search(self, picture: Picture, start_px: Pixels | None) -> Seen:
         blobs, spot, state, spurious = self._search(picture, start_px)
-        spot = self.around.complete(blobs.centre_px, spot, blobs.cut)
+        free = ~np.isin(np.arange(len(blobs)), spot)
+        more = self.around.complete(blobs.centre_px, spot, free)
+        spot = np.where((state == DIM) | (state == MERGED), spot, more)
         moved = (blobs.centre_px[spot] if len(blobs) else np.nan) - self.spot_px
         place = np.where((spot >= 0)[:, None], self.start_px + moved, np.nan)
         suited, fitted = self._suited(picture, place)

@@ -460,15 +460,19 @@ class _Search:
         with np.errstate(invalid="ignore"):
             margin = GATE * size if np.isfinite(self.border).all() else -np.inf
             inside = ((place > margin) & (place < self.border - margin)).all(axis=1)
-        lost = int((self.known & (spot < 0) & inside).sum())
+        lost = np.flatnonzero(self.known & (spot < 0) & inside)
         strange = self._strange(spot, motion, margin)
+        # Spots unlike the markers that should be there are these, changed, as by a part hidden.
+        pair = _mutual_nearest(place[lost], self.spots[strange], GATE * size)
+        there = pair >= 0
+        changed = int((~self.alike[lost[there], strange[pair[there]]]).sum())
         found = certain & (spot >= 0)
         astray = int(
             (np.linalg.norm(motion[found] - expected[found], axis=1) > 0.5 * GATE * size).sum()
         )
         lengths = self._mean_lengths(motion)
         mean = float(np.mean(lengths))
-        left_over = lost + strange + astray
+        left_over = len(lost) + len(strange) + astray - 2 * changed
         return _Pairing(
             spot=spot,
             motion=motion,
@@ -476,8 +480,8 @@ class _Search:
             step=lengths[-1],
             left_over=left_over,
             astray=astray,
-            strange=strange,
-            unpaired=min(lost, strange),
+            strange=len(strange) - changed,
+            unpaired=min(len(lost), len(strange)) - changed,
             cost=2.0 * np.sqrt(left_over) + PRIOR * mean,
         )
 
@@ -490,19 +494,19 @@ class _Search:
         size = self.around.spacing_px
         return [float(one.mean()) / size if len(one) else 0.0 for one in known]
 
-    def _strange(self, spot: Ints, motion: Pixels, margin: float) -> int:
-        """Return how many spots are no marker's, though at rest they would have been well inside
-        the picture, and none was there."""
+    def _strange(self, spot: Ints, motion: Pixels, margin: float) -> Ints:
+        """Return which spots are no marker's, though at rest they would have been well inside the
+        picture, and none was there."""
         taken = spot >= 0
         free = self._free(spot)
         if not taken.any() or not len(free):
-            return len(free)
+            return free
         _, near = cKDTree(self.spots[spot[taken]]).query(self.spots[free])
         place = self.spots[free] - motion[taken][near]
         strange = ((place > margin) & (place < self.border - margin)).all(axis=1)
         if self.spare is not None:
             strange &= self.spare.query(place)[0] > GATE * self.around.spacing_px
-        return int(strange.sum())
+        return np.asarray(free[strange])
 
     def _free(self, spot: Ints) -> Ints:
         """Return the spots that could be markers and are none's."""
