@@ -49,7 +49,6 @@ CHECKS = (
     "presses",
     "random_bodies",
     "random_scenes",
-    "truth",
     "validity",
 )
 

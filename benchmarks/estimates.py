@@ -2,8 +2,7 @@
 
 Disks on the block, against the truth's table, and on the finger bumps, disks and rectangles, against its finest mesh
 with finer quadrature under the load: at given places, axis by axis, and of random width, place and direction. Loads are
-cut as the program cuts them. The finger's finest mesh is itself up to 6e-4 off. The block's standard table is tried on
-squares, disks and twists at random against `benchmarks.truth`, where NGSolve is installed.
+cut as the program cuts them. The finger's finest mesh is itself up to 6e-4 off.
 
 The shares in `twin.world.elasticity.error_law` were chosen with the given loads in view, and on the finger with 60
 other random ones; the random loads here set nothing.
@@ -18,18 +17,17 @@ from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 from itertools import product
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 
+from benchmarks import ROOT
 from benchmarks.clock import empty_cache
 from benchmarks.elasticity import compliance
 from benchmarks.record import Row, table
-from benchmarks.reference import BODIES, Case, reference
-from benchmarks.truth import COARSE, FOLDER, Quarter, Words, half_space
+from benchmarks.reference import BODIES, reference
 from twin.arrays import Points
 from twin.errors import InputError
 from twin.parts.load import Rectangles, Traction
@@ -55,8 +53,6 @@ RANDOM, SEED = {"block": 36, "finger": 60}, {"block": 7, "finger": 2026}
 ON_FINGER, EDGE_MM = ("bump", "disk", "rectangle"), 6.5
 """Kinds of random loads, in turn, and how far from the origin they reach; Poisson's ratio alternates between `BOTH`."""
 BOTH = (0.5, 0.3)
-
-NUS, AGAINST_TRUTH, KINDS = (0.5, 0.3, 0.1), 8, ("rectangle", "disk", "rectangle", "twist")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,33 +139,6 @@ def ratios(body: str) -> dict[tuple[str, Level], list[float]]:
                 got, told = stiff(nu, level).answer(points, load)
                 error = np.linalg.norm(got - right, axis=1).max() / np.linalg.norm(right, axis=1).max()
                 found[loads, level].append(told / float(error))
-    return found
-
-
-def _words(number: int) -> Iterator[Words]:
-    """Yield loads in words for `benchmarks.truth`, all at random: rectangles, disks and twists."""
-    rng = np.random.default_rng(11)
-    for i in range(number):
-        force = rng.normal(size=3)
-        words: Words = {"centre_mm": [float(rng.uniform(-10, 10)), float(rng.uniform(-8, 8))]}
-        if i % 2 == 0:
-            words["size_mm"] = np.exp(rng.uniform(*np.log((DISKS_MM[0], DISKS_MM[-1])), 2)).tolist()
-        else:
-            words["radius_mm"] = float(np.exp(rng.uniform(*np.log((DISKS_MM[0] / 2, DISKS_MM[-1] / 2)))))
-        pushed = {"force_n": (force / np.linalg.norm(force)).tolist()}
-        yield words | {"kind": KINDS[i % 4]} | (pushed if KINDS[i % 4] != "twist" else {"torque_nmm": 10.0})
-
-
-def of_table(nu: float) -> list[float]:
-    """Return the standard table's estimated errors over its errors against `benchmarks.truth`."""
-    quarter, stiff, found = Quarter(COARSE, nu), compliance("block", nu, "subtracted", "standard", True), []
-    for words in _words(AGAINST_TRUTH):
-        points = reference("block").points + np.array([*words["centre_mm"], 0.0])
-        points = points[(np.abs(points[:, :2]) < BOX_MM).all(axis=1)]
-        right = half_space(points, words, nu) + quarter.rest(points, words)
-        load = Case(key="", nu=nu, words=words, right=right, own_error=0.0).load(BODIES["block"])
-        got, told = stiff.answer(points, load)
-        found.append(told * float(np.linalg.norm(right, axis=1).max() / np.linalg.norm(got - right, axis=1).max()))
     return found
 
 
@@ -265,7 +234,7 @@ def _rubbed(case: Rubbed) -> Iterator[Row]:
 
 
 def _stored(name: str) -> tuple[dict[str, Any], Points]:
-    found = json.loads((FOLDER / f"{name}.json").read_text())
+    found = json.loads((ROOT / "tests" / "reference" / f"{name}.json").read_text())
     places = np.array(found["places_mm"])
     return found, np.insert(places, 1, 0.0, axis=1) if places.shape[1] == 2 else places
 
@@ -315,10 +284,7 @@ def measure(*, friction: bool = False) -> None:
         for rows in (stuck(), turned(), *(_rubbed(case) for case in RUBBED)):
             print(table(list(rows)), flush=True)
         return
-    rows = [
-        _row("block", f"random, nu {nu:g}", "table, truth", of_table(nu))
-        for nu in (NUS if find_spec("ngsolve") else ())
-    ]
+    rows: list[Row] = []
     for name in BODIES:
         rows += [_row(name, loads, level, found) for (loads, level), found in ratios(name).items()]
     print(table(rows))

@@ -20,7 +20,7 @@ from twin.world.elasticity.discretise import tile
 YOUNGS_MODULUS_MPA = 0.5
 
 FILES = {"block": "block_converged", "finger": "finger"}
-"""The block's loads were solved again, nearer to the truth: `benchmarks.truth`."""
+"""The block's loads were solved again, nearer to the truth: `tests/block_truth.py`."""
 
 BODIES: dict[str, Body] = {
     "block": Block(width_mm=100, length_mm=90, thickness_mm=40),

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from block_truth import FOLDER, Bricks, Quarter, half_space
 
 from benchmarks import peers
 from benchmarks.peers import BUMP_MM, Edges, Problem, curved, netgen_mesh, nodal_shares
 from benchmarks.reference import BODIES, reference
-from benchmarks.truth import FOLDER, Bricks, Quarter, half_space
 from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.theory import halfspace
@@ -124,7 +124,11 @@ def test_quarter_of_bricks_gives_the_stored_truth_and_loads_beside_the_middle():
 
     for key in ("R1x_nu0.5", "R1z_nu0.5"):
         assert away(whole(truth.case(key).words), truth.case(key).right) < 2e-5
-    words = {"centre_mm": [8.0, -5.0], "size_mm": [3.0, 2.0], "force_n": [0.5, -0.3, 1.0]}
-    load = tile(Traction.rectangle(**words), BODIES["block"])
-    table = Compliance(BODIES["block"], Material(youngs_modulus_mpa=0.5)).displacement(truth.points, load)
-    assert away(whole(words | {"kind": "rectangle"}), table) < 1e-4
+    stiff = Compliance(BODIES["block"], Material(youngs_modulus_mpa=0.5, poisson_ratio=0.5))
+    pushed = {"centre_mm": [8.0, -5.0], "size_mm": [3.0, 2.0], "force_n": [0.5, -0.3, 1.0]}
+    turned = {"centre_mm": [-6.0, 4.0], "radius_mm": 2.5, "torque_nmm": 10.0}
+    for kind, words in (("rectangle", pushed), ("twist", turned)):
+        got, estimate = stiff.answer(truth.points, tile(getattr(Traction, kind)(**words), BODIES["block"]))
+        error = away(got, whole(words | {"kind": kind}))
+        assert error < 1e-4
+        assert estimate > error - 2e-5

@@ -5,12 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from layered import Layered, bump_displacement
 from slabs import block_boxes
 from standard_bodies import BLOCK, DOME, REFERENCE, relative_error, traction_of, write_stl
 from stl_shapes import SENSING_BELOW, bracket, rounded_pad, solid_box, solid_bracket, solid_dome, solid_pad, wedge
 
 import twin.world.mesh.body_mesh
-from benchmarks.layered import Layered, bump_displacement
 from twin.errors import InputError
 from twin.files import MESHES
 from twin.geometry.closed import Surface

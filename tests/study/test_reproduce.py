@@ -12,10 +12,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from block_truth import MODULUS_MPA, half_space
 from threadpoolctl import threadpool_info
 
 from benchmarks.record import read
-from benchmarks.truth import MODULUS_MPA, half_space
 from twin.errors import InputError, TwinError
 from twin.parts.load import Traction
 from twin.sense.track import track_frame

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from block_truth import MODULUS_MPA, of_point_force
 from numpy.testing import assert_allclose
 from standard_bodies import assert_near, rectangles
 
-from benchmarks.truth import MODULUS_MPA, of_point_force
 from twin.theory import halfspace
 
 AXES = np.eye(3)

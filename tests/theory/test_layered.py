@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from layered import Layered, bump_displacement
 from standard_bodies import assert_near, rectangles
 
-from benchmarks.layered import Layered, bump_displacement
 from twin.parts.body import Block
 from twin.parts.load import Traction
 from twin.theory import halfspace

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from layered import Layered, bump_displacement
 from standard_bodies import BLOCK, FINGER, REFERENCE, assert_near, relative_error
 
-from benchmarks.layered import Layered, bump_displacement
 from twin.parts.load import Traction
 from twin.parts.material import Cover, Material
 from twin.study.recipe import load_scene

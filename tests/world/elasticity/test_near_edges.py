@@ -18,9 +18,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from layered import Layered, bump_displacement
 from standard_bodies import BLOCK, FINGER, REFERENCE, rectangles, relative_error, traction_of
 
-from benchmarks.layered import Layered, bump_displacement
 from benchmarks.random_bodies import bracket, write_stl
 from twin.arrays import frozen
 from twin.parts.body import Block, Finger, Solid

@@ -1,6 +1,6 @@
 """The block's truth: displacements far nearer to it than any mesh of twin's, made by NGSolve and by nothing of twin.
 
-    python -m benchmarks truth          # makes tests/reference/block_converged.npz anew: the loads of block.npz
+    python tests/block_truth.py          # makes reference/block_converged.npz anew: the loads of block.npz
 
 The field is the half-space's under the load, plus a rest w that the finite block asks for.
 
@@ -18,11 +18,11 @@ block.npz has the same loads from Netgen's tetrahedra, of order 4, graded to the
 import json
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks import ROOT
 from twin.arrays import Floats, Points
 
 HALF_MM, THICKNESS_MM, MODULUS_MPA = (50.0, 45.0), 40.0, 0.5
@@ -30,7 +30,7 @@ SOFTNESS = 1e-7
 NEAR, AFAR = 24, 6
 """Gauss points across a load: by its half width in mm under it; and for faces 40 mm away."""
 
-FOLDER = ROOT / "tests" / "reference"
+FOLDER = Path(__file__).parent / "reference"
 IMAGES = ((1, 1), (-1, 1), (1, -1), (-1, -1))
 
 Words = dict[str, Any]
@@ -222,7 +222,7 @@ def _bricks(ng: Any, shares: tuple[float, ...]) -> tuple[Any, dict[str, str]]:
     return mesh, faces
 
 
-def measure() -> None:
+def main() -> None:
     """Solve all cases of block.npz twice, say how far they are from each other and from block.npz, and store them."""
     with np.load(FOLDER / "block.npz") as file:
         data = {key: file[key] for key in file.files}
@@ -245,3 +245,7 @@ def measure() -> None:
     slices = {key: data[key] for key in data if key.startswith("slice_")}
     told = np.array(json.dumps(cases))
     np.savez_compressed(FOLDER / "block_converged.npz", points=points, cases=told, **slices, **fields)
+
+
+if __name__ == "__main__":
+    main()
