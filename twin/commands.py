@@ -15,7 +15,7 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -306,6 +306,13 @@ def explain(
     yield from ((one.line(), asdict(one)) for one in found)
 
 
+def _named(lines: Iterable[str]) -> _Output:
+    """Yield lines that begin with a name, and what follows it, as records."""
+    for line in lines:
+        name, *found = re.split(r"  +|: | = ", line.strip(), maxsplit=1)
+        yield line, {"name": name, "found": "".join(found)}
+
+
 def _listed(option: str, given: Sequence[str], known: str) -> list[str]:
     """Return what an option names, separated by commas or given again; nothing where it is left
     out."""
@@ -473,20 +480,20 @@ def check(
 
         loaded = _load(scene, set_)
         with _scene_named(scene):
-            yield from check_camera(Path(file), second, loaded)
+            yield from _named(check_camera(Path(file), second, loaded))
         return
     if camera:
         from twin.study.photon_transfer import photon_transfer
 
         loaded = _load(file, set_)
         with _scene_named(file):
-            yield from photon_transfer(loaded.ccd).lines(loaded.ccd)
+            yield from _named(photon_transfer(loaded.ccd).lines(loaded.ccd))
         return
     from twin.study.check import check_path
     from twin.study.recipe import parse_overrides
 
     with _scene_named(file):
-        yield from check_path(file, parse_overrides(set_))
+        yield from _named(check_path(file, parse_overrides(set_)))
 
 
 def doctor() -> _Output:
@@ -497,8 +504,7 @@ def doctor() -> _Output:
     from twin.study.check import examine
 
     facts, missing = examine()
-    for name, found in facts.items():
-        yield f"{name:11s} {found}", {"name": name, "found": found}
+    yield from _named(f"{name:11s} {found}" for name, found in facts.items())
     if missing:
         raise MissingCapability("the main job can't run: " + "; ".join(missing))
 
@@ -843,7 +849,7 @@ def dataset(
     if batch.dry_run:
         from twin.study.dataset.create import estimate
 
-        yield from estimate(loaded, samples, workers=workers, progress=_progress())
+        yield from _named(estimate(loaded, samples, workers=workers, progress=_progress()))
         return
     done = create_dataset(
         loaded, folder, samples, workers=workers, scheduler=cluster, progress=_progress()
@@ -930,7 +936,7 @@ def sweep(
     if batch.dry_run:
         from twin.study.sweep.sweep_run import estimate
 
-        yield from estimate(wanted, scene, workers=workers)
+        yield from _named(estimate(wanted, scene, workers=workers))
         return
     from twin.study.sweep.sweep_report import write_report
     from twin.study.sweep.sweep_run import run_sweep

@@ -62,6 +62,8 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
             "px: must be a whole number (allowed: 1 to 8192 px)",
         ),
         (["run", "kamiyama_pillar", "-s", "press.at_mm=[0]"], "press.at_mm.1: missing; give a value\n"),
+        (["check", "gelpad_press", "-s", "press.probe={}"], "press.probe: give a table with kind = 'sphere' or"),
+        (["check", "gelpad_press", "-s", "press.probe={kind='object'}"], "missing; give 'letter' or 'gear' or"),
         (
             ["run", "kamiyama_pillar", "-s", "press.at_mm=[1,2,3,4]"],
             "at_mm = [1, 2, 3, 4] mm: must be a list of at most 3",
@@ -336,7 +338,7 @@ def test_check_scenes_and_doctor_print_json(tmp_path: Path) -> None:
     assert not bad["ok"]
     assert "did you mean 'poisson_ratio'" in bad["problems"][0]
     assert twin("check", "block_bare").stdout.rstrip().endswith("ok")
-    assert in_json("check", "block_bare")["ok"]
+    assert in_json("check", "block_bare")["rows"][0]["found"] == "ok"
     scenes = in_json("scenes")["rows"]
     assert {"name", "title", "path"} == set(scenes[0])
     assert "kamiyama_pillar" in {scene["name"] for scene in scenes}

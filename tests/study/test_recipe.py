@@ -252,4 +252,4 @@ def test_what_is_missing_is_described(tmp_path: Path) -> None:
     with pytest.raises(RecipeError) as told:
         load_scene(tmp_path / "mine.toml")
     assert "body.held: missing; give a table with keys of plane, box, normal, within_deg" in str(told.value)
-    assert "press.probe: missing; give a table with kind = 'sphere' or kind = " in str(told.value)
+    assert "press.probe: missing; give a table with kind = 'sphere' or 'cylinder' or 'pillar'" in str(told.value)

@@ -75,6 +75,10 @@ SMALLEST_SHARE = 0.5
 DISAGREE = 0.5
 """Median error of presses predicted from the others, over their motion, from which to warn."""
 
+UNSTATED = 1.5
+"""Errors of the presses' total forces over the stated ones, root mean square, from which to
+warn."""
+
 
 @one_blas_thread()
 def calibration_of(sensor: Sensor, *, kept: bool = True) -> Calibration:
@@ -133,8 +137,9 @@ def calibrate_to_file(
         raise InputError(f"--out {out}: a calibration file ends in .npz")
     make_folder(out.parent)
     sensor = Sensor(scene, progress)
+    read: list[str] = []
     if folder is not None:
-        made, text = _calibrate_from_folder(sensor, folder)
+        made, text, read = _calibrate_from_folder(sensor, folder)
     else:
         made = calibration_of(sensor, kept=False)
         text = f"{len(made.transfer) // 2} markers"
@@ -157,22 +162,55 @@ def calibrate_to_file(
     if method == "fitted" and folder is None and scene.light is not None:
         lines += [f"warning {text}" for text in scene.light.turns()]
     if method == "fitted" and len(made.left_out) > 1:
-        lines += _agreement(made.left_out)
-    return "\n".join(lines)
+        lines += _agreement(made)
+    return "\n".join(lines + read)
 
 
-def _agreement(left_out: Floats) -> list[str]:
+def _agreement(made: Calibration) -> list[str]:
     """Return how well each press is predicted from the others, and what to check if it is not."""
-    usual, worst = float(np.median(left_out)), float(np.max(left_out))
+    usual, worst = float(np.median(made.left_out)), int(made.left_out.argmax())
+    where = made.facts["frames"][worst] if "frames" in made.facts else f"place {worst + 1}"
     lines = [
         f"fitted  motion under a press, predicted from the other presses: {100 * usual:.0f} % off "
-        f"(median), {100 * worst:.0f} % at worst (place {int(left_out.argmax()) + 1})"
+        f"(median), {100 * made.left_out[worst]:.0f} % at worst ({where})"
     ]
     if usual > DISAGREE:
         lines.append(
             "warning the presses do not fit this sensor, so its forces will be wrong: check "
             f"{TABLE} (N, mm, +z into the rubber, x along the picture's columns, y against its "
             "rows), the body's size, the depth of the markers, and press_probe_mm"
+        )
+    return lines
+
+
+def _read_back(
+    made: Calibration, scene: Scene, found: Sequence[Found], force_n: Floats
+) -> list[str]:
+    """Return how far off the total forces are that a calibration reads from its own presses."""
+    from twin.sense.reconstruct import reconstruct
+
+    options = scene.inverse.options()
+    fields = [reconstruct(one, made, **options) for one in found]
+    stated = np.array([field.sd_total_n for field in fields])
+    totals = np.array([field.total_force_n for field in fields]) - force_n
+    sums = np.array([field.force_n.sum(axis=0) for field in fields]) - force_n
+    allowed = np.hypot(stated, scene.calibration.load_cell_n)
+
+    def rms(values: Floats) -> Floats:
+        return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+    def line(what: str, values: Floats) -> str:
+        parts = (f"F{axis} {one:.2g}" for axis, one in zip("xyz", rms(values), strict=True))
+        return f"read    {what}: {', '.join(parts)} N (root mean square)"
+
+    lines = [line("total force of these presses off by", totals), line("stated", stated)]
+    if options["push_only"] or options["friction"] is not None:
+        lines.append(line("sites' sum, of sites that only push or obey friction, off by", sums))
+    if (rms(totals / allowed) > UNSTATED).any():
+        lines.append(
+            "warning total forces are further off than is stated: a size in the recipe is wrong "
+            "(thickness, depth, Poisson's ratio), which one layer of dots hardly shows. Trust a "
+            "force no more than the lines above say"
         )
     return lines
 
@@ -469,8 +507,9 @@ def _rest_picture(folder: Path) -> Path:
     return found[0]
 
 
-def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, str]:
-    """Return the calibration of the sensor in a folder's pictures, and its markers in words."""
+def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, str, list[str]]:
+    """Return the calibration of the sensor in a folder's pictures, its markers in words, and lines
+    on the forces that it reads from presses."""
     from twin.sense.track import Tracker
 
     scene, progress = sensor.nominal, sensor.progress
@@ -479,7 +518,7 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
     tracker = Tracker(read_picture(rest), sensor.layout_px, method=scene.tracking.method)
     rest_px = tracker.rest.rest_px
     known = np.asarray(np.isfinite(rest_px).all(axis=1))
-    text = f"{int(known.sum())} of {len(known)} markers"
+    text, read = f"{int(known.sum())} of {len(known)} markers", []
     if known.mean() < SMALLEST_SHARE:
         raise InputError(
             f"{rest}: shows {int(known.sum())} of the design's {len(known)} markers; is it this "
@@ -504,7 +543,9 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
             if progress is not None:
                 progress(f"tracking, press {number} of {count}", 0.3 * number / count)
         presses = _measured(scene, np.zeros(count, np.int64), force_n, found)
-        made = _by_presses(sensor, places_mm, presses)
+        made = _by_presses(sensor, names, places_mm, presses)
+        if scene.calibration.method == "fitted":
+            read = _read_back(made, scene, found, force_n)
         text += f", {count} presses"
         if sensor.relaxation is not None and not np.isfinite(held_s).all():
             # How far the rubber had relaxed under each press isn't known.
@@ -512,7 +553,7 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
             text += f"; {TABLE} has no {HELD}, so how the rubber relaxes is left out"
     if scene.calibration.method != "fitted":
         made = replace(made, layout_px=np.where(known[:, None], rest_px, made.layout_px))
-    return made, text
+    return made, text, read
 
 
 def _check_forces(scene: Scene, force_n: Floats) -> None:
@@ -545,8 +586,10 @@ def _require_places(body: Body, places_mm: Points, on_surface: Bools) -> None:
     )
 
 
-def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibration:
-    """Return the calibration by presses at (q, 3) places of the surface, mm."""
+def _by_presses(
+    sensor: Sensor, names: Sequence[str], places_mm: Points, presses: Presses
+) -> Calibration:
+    """Return the calibration by presses at (q, 3) places of the surface, mm, in named pictures."""
     scene = sensor.nominal
     given = np.isfinite(places_mm[:, 2:])
     points = np.where(given, places_mm, scene.body.surface_from_above(places_mm[:, :2]))
@@ -563,7 +606,8 @@ def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibrat
         _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
         places = Rectangles.on_surface(scene.body, charts[first], half_mm, TABLE)
         presses = replace(presses, place=which.ravel().astype(np.int64))
-        return _fitted_calibration(sensor, places, presses)
+        made = _fitted_calibration(sensor, places, presses)
+        return _with_facts(made, presses, {"frames": [names[k] for k in first]})
     # Sato's way: three presses at every place of a grid, in any order.
     grid = scene.calibration.presses or scene.inverse.sites
     wanted = grid.chart()

@@ -375,7 +375,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
         f"markers     {int(seen.sum())} of {len(seen)} found, {width:.3g} px wide",
         f"noise       {noise:.2g} counts, {100 * full:.2g} % of the pixels saturated",
         f"blur        {blur:.2g} px (standard deviation, lens and pixel)",
-        f"compression errors {coherence:.2g} times as large as from noise in single pixels",
+        f"compression: errors {coherence:.2g} times as large as from noise in single pixels",
         f"shifts      {measured:.2g} px measured, {stated:.2g} px stated (standard deviation)",
         *_force_noise(sensor.nominal, found),
         f"good enough: {'no: ' + '; '.join(problems) if problems else 'yes'}",

@@ -453,6 +453,8 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
         return f"{dotted}: unknown key; {hint}"
     if error["type"] == "missing":
         return f"{dotted}: missing; {_wanted(keys, table)}"
+    if error["type"] == "union_tag_not_found":
+        return f"{dotted}: {_wanted(keys, table)}"
     message = _worded(error, table)
     if error["type"] == "tuple_type" and last in ("force_n", "move_mm"):
         message = "must name its components, such as {z = 1}"
@@ -479,11 +481,15 @@ def _wanted(keys: list[Any], table: Mapping[str, Any]) -> str:
     kinds = _models_in(field.annotation) if field is not None else []
     if len(kinds) > 1:
         tags = [(key, kind.model_fields[key].default) for kind in kinds for key in _tags(kind)]
-        return "give a table with " + " or ".join(f"{key} = '{word}'" for key, word in tags)
+        known = " or ".join(f"'{word}'" for _, word in tags)
+        return f"give a table with {tags[0][0]} = {known}"
     if kinds:
         return f"give a table with keys of {', '.join(_known_keys(keys, table))}"
+    if field is not None and (words := _words(field.annotation)):
+        return f"give {' or '.join(words)}"
     unit = unit_of(str(keys[-1]))
-    return "give a value" + (f" in {unit}" if unit else "")
+    allowed = _range(keys, table, unit)
+    return "give a value" + (f" in {unit}" if unit else "") + (f", {allowed}" if allowed else "")
 
 
 def _dotted(keys: list[Any]) -> str:
@@ -510,8 +516,9 @@ def _range(keys: list[Any], table: Mapping[str, Any], unit: str) -> str:
     )
     if low is None or high is None:
         return ""
-    words = [f"'{word}'" for word in _words(field.annotation)]
-    return " or ".join([f"{low:g} to {high:g}{' ' + unit if unit else ''}", *words])
+    return " or ".join(
+        [f"{low:g} to {high:g}{' ' + unit if unit else ''}", *_words(field.annotation)]
+    )
 
 
 def _rules_of_members(annotation: Any) -> list[Any]:
@@ -526,9 +533,10 @@ def _rules_of_members(annotation: Any) -> list[Any]:
 
 
 def _words(annotation: Any) -> list[str]:
-    """Return the words that may stand in a number's place."""
-    found = [m for m in typing.get_args(annotation) if typing.get_origin(m) is typing.Literal]
-    return [str(word) for literal in found for word in typing.get_args(literal)]
+    """Return the words, in quotes, that may be given, or may stand in a number's place."""
+    kinds = (annotation, *typing.get_args(annotation))
+    found = [kind for kind in kinds if typing.get_origin(kind) is typing.Literal]
+    return [f"'{word}'" for literal in found for word in typing.get_args(literal)]
 
 
 def _keys(location: tuple[Any, ...], table: Any) -> list[Any]:
@@ -611,7 +619,8 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
 
 def _tags(model: type[BaseModel]) -> list[str]:
     """Return the keys whose value names a description among others."""
-    return [key for key in ("kind", "shape") if key in model.model_fields]
+    fields = model.model_fields
+    return [key for key in ("kind", "shape") if key in fields and not fields[key].is_required()]
 
 
 def shipped_scenes() -> dict[str, Path]:
