@@ -575,9 +575,12 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
     # The fit states how it predicts presses that it hasn't seen, and warns where it can't: forces of the wrong sign.
     design = {**sites, "calibration.method": "fitted", "calibration.press_force_n": 3.0}
     fitted = load_scene("kamiyama_pillar", design)
-    assert "warning" not in calibrate_to_file(fitted, tmp_path / "f.npz", folder=tmp_path)
+    right = calibrate_to_file(fitted, tmp_path / "f.npz", folder=tmp_path)
+    assert "warning" not in right
+    assert "read    total force of these presses off by: Fx 0." in right
     pulled = [lines[0], *(",".join([*row.split(",")[:6], "-3"]) for row in lines[1:])]
     (tmp_path / "presses.csv").write_text("\n".join(pulled) + "\n")
     said = calibrate_to_file(fitted, tmp_path / "f.npz", folder=tmp_path)
     assert "predicted from the other presses: 1" in said
     assert "the presses do not fit this sensor" in said
+    assert "total forces are further off than is stated" in said
