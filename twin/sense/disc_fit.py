@@ -177,8 +177,9 @@ EVEN, LEVEL_TILT = 2.8, 3.5
 """Standard deviations up to which an edge's third harmonic, and the motion by a changed slope of
 brightness, change by chance (49 of 50, 456 of 457). What exceeds this is stated, and corrected."""
 
-SHRINKS = 1.5
-"""Standard deviations of a radius up to which a marker has become smaller by chance."""
+SHRINKS = 0.5
+"""Standard deviations of a radius up to which a marker has become smaller by chance: states 1.0 to
+1.3 times the errors of whole markers, and of blurred ones that lack a hundredth .5 to 1.3 times."""
 
 LEAST_LIGHT = 3.0
 """Standard deviations by which a marker may have more light than it seems to."""
@@ -590,7 +591,7 @@ class DiscFit(SoftWindow):
         part[:, [SCALE, FITTING]], part[:, SHORTFALL] = 1.0, 0.0
         part[:, DIFFERENCE] = 0.0
         if templates.coherent:  # a part was left out, but is it the one that is hidden?
-            lost = self._light_lost(fitted, fine, -SHRINKS)[rows] * ~cut[rows]
+            lost = self._light_lost(fitted, fine, -0.5 * LEAST_LIGHT)[rows] * ~cut[rows]
             lacks = np.fmax(LOST_MOVES * radius[rows] * lost - moved, 0.0)
             part[:, DIFFERENCE] = lacks / np.sqrt(2.0)
         part[:, EDGE] = np.where(part[:, EDGE] < WHOLE_EDGE, LEAST_EDGE, 1.0)
@@ -671,13 +672,15 @@ class DiscFit(SoftWindow):
             factor = max(self.bare.coherence(picture, templates, shift, sd, growth), factor)
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
+        shaded = _shaded(fitted, templates, factor)
+        if factor > COHERENT and not self.rougher:  # else it is in `SINCE`
+            factor *= templates.smooths_third
         more = self._unseen_cut(fitted, sd, factor) + 2.0 * SD_FLOOR_PX**2
         if templates.coherent:
             noisier = _quantiles(fitted[:, MISFIT], USUAL)[0] / templates.usual_misfit
             if self.rougher or not 1.0 / ROUGHER < noisier < ROUGHER:
                 lacking = self._lacking(fitted) ** 2 - LACKING**2
                 more += np.fmax(lacking, 0.0) * (factor * sd) ** 2
-        shaded = _shaded(fitted, templates, factor)
         shift += SHADE_MOVES * shaded
         more += SHADE_LEAVES**2 * _square(shaded)
         sd = np.sqrt(_edge_sds(fitted, templates, rest_sd, sd, factor) ** 2 + more)
@@ -786,7 +789,8 @@ def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
     times the stated deviation). They move the edge in its third harmonic as much as in the first,
     the motion; unlike motion, size and strain (the first, none and the second), nothing else moves
     it between two pictures. What a marker's own outline or shadow lacks of the model is the same at
-    rest and cancels.
+    rest and cancels. Around small markers such noise is smoother than a third harmonic is long,
+    and shows less in it than it moves them (`Templates.smooths_third`).
 
     ``third`` is that of the edge at rest; ``seen`` and ``sd`` say which fits count, and the
     standard deviations of their shifts, px.

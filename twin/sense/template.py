@@ -718,6 +718,20 @@ class Templates:
         return np.asarray(np.exp(4.0 * (self.blur_px / radius) ** 2))
 
     @cached_property
+    def smooths_third(self) -> float:
+        """By how much noise that hangs together over pixels weakens an edge's third harmonic more
+        than its first, taken as white noise that a Gaussian of b px has blurred.
+
+        Neighbouring pixels then correlate by exp(-1 / 4 b^2), and 2 x 2 differences, from which
+        `noise` is read, have (1 - that)^2 of the variance: the rest is `usual_misfit`. The n-th
+        harmonic at radius r falls by exp(-(n b / r)^2 / 2).
+        """
+        if not self.coherent:
+            return 1.0
+        square = -0.25 / math.log(1.0 - self.usual_misfit**-0.5)
+        return math.exp(4.0 * square / float(self.usual_shape[0] * self.usual_shape[2]))
+
+    @cached_property
     def usual_shape(self) -> Floats:
         """(`SHAPE`,) median of the markers'."""
         return np.asarray(np.nanmedian(self.shape, axis=0))
