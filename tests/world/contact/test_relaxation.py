@@ -12,6 +12,7 @@ from twin.errors import InputError
 from twin.parts.press import Press, Sphere, Step
 from twin.theory.contact import hertz
 from twin.theory.relaxation import Relaxation
+from twin.world.contact import load_step
 
 RUBBER = Relaxation(np.array([0.2, 0.1]), np.array([0.3, 2.0]))
 DEPTH, RAMP = 0.1, 0.5
@@ -138,6 +139,25 @@ def test_a_slide_does_not_depend_on_its_steps():
     assert many.slip.all()
     assert many.force_n[0] == pytest.approx(0.6 * many.force_n[2], rel=1e-3)
     assert few.force_n == pytest.approx(many.force_n, abs=3e-4 * many.force_n[2])
+
+
+def test_relaxation_alone_asks_for_parts_without_friction(monkeypatch):
+    """Elastic rubber without friction needs one solution a step, whatever touches: parts are for
+    what relaxes within a step, and as many give the force of one long step."""
+    solutions = []
+    solve = load_step.solve
+    monkeypatch.setattr(load_step, "solve", lambda *of: solutions.append(of) or solve(*of))
+
+    def needed(*steps):
+        solutions.clear()
+        state = pressed(ball(40, steps=steps), across=ACROSS, relaxation=RUBBER)
+        return len(solutions), state.force_n[2]
+
+    once, along = needed(moved(DEPTH, RAMP))
+    ten, same = needed(*[moved(DEPTH / 10, RAMP / 10)] * 10)
+    assert ten < 3 * once  # 25 where the whole step is solved first, 61 with parts for new patches
+    assert same == pytest.approx(along, rel=5e-4)
+    assert needed(*[moved(DEPTH / 10, 1e-4 * RAMP)] * 10)[0] <= once + 10
 
 
 def test_a_dent_recovers_and_is_felt_by_the_next_touch():

@@ -74,14 +74,14 @@ class _Guess:
     def on_line(self, other: _Guess, share: float) -> _Guess:
         """Return what lies on a straight line to another, at a share of the way; above 1 beyond
         it."""
-        assert self.displacement_mm is not None
-        assert other.displacement_mm is not None
+        moved = None
+        if self.displacement_mm is not None and other.displacement_mm is not None:
+            moved = self.displacement_mm + share * (other.displacement_mm - self.displacement_mm)
         return _Guess(
             force_n=self.force_n + share * (other.force_n - self.force_n),
             pose=self.pose + share * (other.pose - self.pose),
             active=(self if share < 1.0 else other).active,
-            displacement_mm=self.displacement_mm
-            + share * (other.displacement_mm - self.displacement_mm),
+            displacement_mm=moved,
         )
 
 
@@ -535,27 +535,38 @@ def _advance(
     return _advance(grid, history, control, _Guess.of(found), wanted, halvings=halvings - 1)
 
 
-def _parts(history: ContactHistory, found: Equilibrium, control: Control, most: int) -> int:
-    """Return in how many parts to take a step that leads to about ``found``: ``most`` where it
-    changes half or more.
+def _parts(
+    grid: FrictionalContact, history: ContactHistory, control: Control, most: int, changed: float
+) -> int:
+    """Return in how many parts to take a step: ``most`` where it changes half or more.
 
-    What counts is the share of the patches that touch, stick or slip otherwise than before, or that
-    of the forces; under a force that creeps, the share by which the rubber relaxes.
+    Under a force that creeps, the share by which the rubber relaxes counts, too. Without friction
+    only relaxation asks for parts, as it keeps what elastic forces did between: the error is that
+    share of the change, over the square of the parts.
     """
-    changed = (found.active != history.touched) | (
-        (found.slipping & found.active) != history.slipping
-    )
-    patches = float(changed.sum()) / float((found.active | history.touched).sum())
-    before, after = (
-        float(np.linalg.norm(force, axis=1).sum()) for force in (history.force_n, found.force_n)
-    )
-    forces = float(np.linalg.norm(found.force_n - history.force_n, axis=1).sum()) / max(
-        before, after, 1e-300
-    )
-    relaxed = 0.0
-    if history.memory is not None and control.by_force.any():
+    if history.memory is not None:
         relaxed = 1.0 - history.memory.over(control.time_s - history.time_s)[0]
-    return min(most, max(1, math.ceil(2.0 * most * max(patches, forces, relaxed))))
+        if not grid.rubs.any():
+            changed = math.sqrt(relaxed * max(changed, relaxed))
+        elif control.by_force.any():
+            changed = max(changed, relaxed)
+    return min(most, max(1, math.ceil(2.0 * most * changed)))
+
+
+def _changed(history: ContactHistory, force_n: Floats) -> float:
+    """Return the share by which the forces on the patches (k, 3) N change."""
+    before, after, apart = (
+        float(np.linalg.norm(force, axis=1).sum())
+        for force in (history.force_n, force_n, force_n - history.force_n)
+    )
+    return apart / max(before, after, 1e-300)
+
+
+def _turned(history: ContactHistory, found: Equilibrium) -> float:
+    """Return the share of the patches that touch, stick or slip otherwise than before."""
+    slips = found.slipping & found.active
+    turned = (found.active != history.touched) | (slips != history.slipping)
+    return float(turned.sum()) / float((found.active | history.touched).sum())
 
 
 def _slide_parts(
@@ -615,9 +626,18 @@ def load_step(
         )
         return replace(then, trend=trend)
 
-    if history.touched.any():
+    foreseen = _extrapolate_step(history, control, start)
+    parts = 1
+    if foreseen is not None and history.memory is not None and not grid.rubs.any():
+        # Without friction the change that is foreseen suffices: the whole step needs no solution.
+        parts = _parts(grid, history, control, increments, _changed(history, foreseen.force_n))
+    if parts > 1 and foreseen is not None and history.touched.any():
+        increments = parts
+        before = _Guess.at(history)
+        guess = before.on_line(foreseen, 1.0 / increments)
+    elif history.touched.any():
         try:
-            whole = _part(grid, history, control, _extrapolate_step(history, control, start))
+            whole = _part(grid, history, control, foreseen)
         except ContactError:
             pass  # a large step may fail where its parts succeed
         else:
@@ -628,7 +648,8 @@ def load_step(
                 changed |= (there.active != history.touched) | bool(control.by_force.any())
             if not changed.any():
                 return with_trend(_remember(grid, history, there, control.time_s)), there, ""
-            increments = _parts(history, there, control, increments)
+            most = max(_turned(history, there), _changed(history, there.force_n))
+            increments = _parts(grid, history, control, increments, most)
             before = _Guess.at(history)
             guess = before.on_line(_Guess.of(there), 1.0 / increments)
     way = np.where(control.by_force, 0.0, control.given - start)
