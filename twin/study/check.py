@@ -90,11 +90,22 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[str]:
         sensor.check_law(None if scene.tractions else scene.press)
     _mesh_own_body(scene)
     lines = [f"{file}: ok"]
-    lines += [f"warning: {doubt}" for doubt in doubts(scene)]
+    lines += [f"warning: {doubt}" for doubt in (*doubts(scene), *_check_dataset(scene))]
     bare = _unsourced(scene)
     if bare:
         lines.append(f"numbers without source or assumed: {', '.join(bare)}")
     return lines
+
+
+def _check_dataset(scene: Scene) -> list[str]:
+    """Refuse what `twin dataset` refuses of a scene for datasets; return what it warns of."""
+    if not (scene.vary or "dataset" in scene.model_fields_set):
+        return []
+    from twin.study.dataset.plan import Plan
+
+    plan = Plan(scene, 2)
+    plan.check()
+    return [plan.alike] if plan.alike else []
 
 
 def _mesh_own_body(scene: Scene) -> None:

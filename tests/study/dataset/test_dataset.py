@@ -262,6 +262,7 @@ def test_a_full_disk_leaves_whole_files_and_the_same_command_goes_on(made, tmp_p
     ("key", "words"),
     [
         ("body.thickness_mm", "body can't vary"),
+        ("press.probe.width_mm", r"vary\.press\.probe\.cylinder\.width_mm: unknown key$"),
         ("press.at_m", "unknown key; did you mean 'at_mm'"),
         ("press.steps.3.torque_nmm", "no place in a list of 0"),
         ("markers.green.depth_mm", "no 'green'; known there are red, blue"),
@@ -269,8 +270,12 @@ def test_a_full_disk_leaves_whole_files_and_the_same_command_goes_on(made, tmp_p
     ],
 )
 def test_what_can_not_vary_is_refused_by_name(key: str, words: str, tmp_path: Path) -> None:
-    with pytest.raises(RecipeError, match=words):
-        make(tmp_path / "d", 1, small_scene(vary={key: {"low": 1.0, "high": 2.0}}))
+    scene = small_scene(vary={key: {"low": 1.0, "high": 2.0}})
+    recipe = tmp_path / "scene.toml"
+    recipe.write_text(scene.to_toml())
+    for refuse in (lambda: make(tmp_path / "d", 1, scene), lambda: check_path(str(recipe))):
+        with pytest.raises(RecipeError, match=words):
+            refuse()
     assert not (tmp_path / "d").exists()
 
 

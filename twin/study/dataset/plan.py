@@ -304,9 +304,11 @@ def _valid(part: type[P], table: Table, where: str) -> P:
             key = ".".join(str(k) for k in (where, *error["loc"]))
             if error["type"] == "extra_forbidden":
                 kind = _UnknownKey
-                otherwise = f"known are {', '.join(part.model_fields)}"
-                hint = did_you_mean(str(error["loc"][-1]), part.model_fields, otherwise)
-                lines.append(f"vary.{key}: unknown key; {hint}")
+                hint = ""
+                if len(error["loc"]) == 1:  # of a press itself; a probe's keys are its kind's
+                    otherwise = f"known are {', '.join(part.model_fields)}"
+                    hint = f"; {did_you_mean(str(error['loc'][0]), part.model_fields, otherwise)}"
+                lines.append(f"vary.{key}: unknown key{hint}")
             else:
                 lines.append(f"{key}: {in_words(error)}")
         raise kind(lines) from None
