@@ -34,7 +34,7 @@ from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
 from twin.theory.contact import hertz
-from twin.theory.optics import project_with_jacobian
+from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.coated import CoveredCompliance
 from twin.world.elasticity.fem import TaylorHood
 
@@ -311,14 +311,14 @@ def totals(truth: Truth, number: int, own: Calibration) -> dict[str, float]:
 def calibration(scene: Scene, twin: FittedDesign, found: Fit, markers: Floats, grid: Sites) -> Calibration:
     """Return a calibration at any sites."""
     sites = Rectangles.on_surface(scene.body, grid.chart(), grid.pitch_mm / 2, "sites")
-    compliance, camera = twin.compliance(found.scaled, markers, sites), twin.camera_of(found.scaled)
+    compliance, optics = twin.compliance(found.scaled, markers, sites), twin.optics_of(found.scaled)
     return Calibration(
         layer=np.repeat(list(scene.markers), [v.columns * v.rows for v in scene.markers.values()]),
-        layout_px=twin.seen(markers, camera), site_mm=sites.centre_mm, site_frames=sites.frames,
+        layout_px=project(markers, *optics), site_mm=sites.centre_mm, site_frames=sites.frames,
         site_area_mm2=np.full(len(sites), grid.pitch_mm**2), grid=(grid.columns, grid.rows),
         transfer=twin.transfer(found.scaled, markers, compliance), noise_px=NOISE_PX,
         compliance=compliance.astype(np.float32), marker_mm=markers,
-        camera=Calibration.camera_text(camera, *twin.scene.optics[1:]),
+        camera=Calibration.camera_text(*optics),
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from twin.parts.scene import FEWEST, LOOSEST, TIGHTEST, Scene
 from twin.parts.sweep import GF
 from twin.parts.vary import CUT, Normal
 from twin.study.recipe import load_scene
+from twin.study.sensor import Sensor
 
 GRAM_FORCE = 9.80665e-3
 
@@ -100,6 +101,27 @@ def test_auto_follows_what_the_scene_leaves_open_within_bounds():
     assert auto.patches_for([5.0], [0.6]) == 10
     assert auto.patches_for([10.0], [0.5]) == PATCHES_ACROSS
     assert auto.patches_for([float("inf")], [3.0]) == auto.patches_for([], []) == PATCHES_ACROSS
+
+
+def test_a_block_is_made_as_thick_as_its_tolerance_allows_its_camera_with_the_base():
+    """Every other draw stays what it was; only a block has one thickness."""
+    drawn, made = (
+        Sensor(load_scene("kamiyama_pillar", {"tolerance.thickness_mm": sd})).actual.scene for sd in (0.0, 0.2)
+    )
+    thicker = made.body.thickness_mm - drawn.body.thickness_mm
+    assert 0.01 < abs(thicker) <= CUT * 0.2
+    assert np.subtract(made.camera.pupil_mm, drawn.camera.pupil_mm) == pytest.approx([0, 0, thicker])
+    assert (made.material, made.markers) == (drawn.material, drawn.markers)
+    with pytest.raises(RecipeError, match=r"tolerance.thickness_mm: only a block .* body.shape = 'finger'"):
+        load_scene("sato_press", {"tolerance.thickness_mm": 0.1})
+    with pytest.raises(RecipeError, match=r"tolerance.thickness_mm = 1.3 mm: .*; take at most 1.2 mm"):
+        load_scene("gelpad_press", {"tolerance.thickness_mm": 1.3})
+
+
+def test_what_is_not_known_of_the_design_scales_all_forces():
+    scene = load_scene("gelpad_press", {"tolerance.thickness_mm": 0.08})
+    assert scene.scale_error == pytest.approx(np.hypot(np.hypot(0.015, 0.003), 1.5 * 0.08 / 4))
+    assert load_scene("gelpad_press", {"tolerance.preset": "none"}).scale_error == 0
 
 
 def test_a_scene_balances_by_its_own_tolerances_probe_and_markers():

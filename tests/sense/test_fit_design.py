@@ -20,8 +20,9 @@ class Drawing:
     names = ("modulus", "red depth", "focal")
     print_mm = 0.03
 
-    def __init__(self, aside_mm=(0.0, 0.0)):
+    def __init__(self, aside_mm=(0.0, 0.0), unsure_px=0.0):
         self.places = np.add(PLACES, [*aside_mm, 0.0])
+        self.unsure = unsure_px
 
     def markers(self, scaled, prints):
         found = DRAWN.copy()
@@ -31,6 +32,9 @@ class Drawing:
 
     def seen(self, points, scaled):
         return 300.0 * (1 + SIZES[2] * scaled[2]) * points[:, :2] * [1, -1] / (14.0 - points[:, 2:])
+
+    def unsure_px(self, presses):
+        return np.broadcast_to(self.unsure, presses.shift_px.shape[:2])
 
     def predict(self, scaled, rest_px, place, force_n):
         flat = self.markers(scaled, 0.0)
@@ -90,6 +94,22 @@ def test_presses_beside_their_places_do_not_count_as_another_rubber():
     found = Fit.of(Drawing(), aside)
     assert found.scaled == pytest.approx(truth, abs=0.03)
     assert found.model_px < 2e-3
+
+
+def test_shifts_that_the_design_leaves_open_count_less():
+    """Wrong by what is stated there: the rubber stays as it is, and no error of the model is left."""
+    truth = np.array([1.0, -0.7, 0.4])
+    told = measured(truth, 3, noise=1e-3, cell=0.0)
+    near = np.linalg.norm(DRAWN[:, None, :2] - PLACES[told.place, :2], axis=2).T < 2.0
+    assert 0.05 < near.mean() < 0.3
+    shift = told.shift_px * np.where(near, 1.1, 1.0)[:, :, None]
+    told = dataclasses.replace(told, shift_px=shift, noise_px=1e-3)
+    unsure = np.where(near, 0.1 * np.abs(told.shift_px).max(axis=2), 0.0)
+    found = Fit.of(Drawing(unsure_px=unsure), told)
+    assert found.scaled == pytest.approx(truth, abs=0.05)
+    assert found.model_px < 2e-3
+    misled = Fit.of(Drawing(), told)
+    assert np.abs(misled.scaled - truth).max() > 0.5
 
 
 def test_no_noise_no_error_and_what_the_design_cannot_express_is_model_error():

@@ -66,6 +66,22 @@ def test_a_folder_of_photographed_presses_is_fitted(tmp_path):
     assert "further off than is stated" not in told
 
 
+@pytest.mark.slow
+def test_a_thin_pad_of_another_thickness_is_fitted_to_presses_as_wide_as_the_ball():
+    """1 N flattens a gel pad under the whole 3 mm ball, and the pad isn't as thick as drawn."""
+    told = {"seed": 5, "calibration.method": "fitted", "tolerance.thickness_mm": 0.1}
+    sensor = Sensor(load_scene("gelpad_press", told))
+    thickness = sensor.actual.scene.body.thickness_mm
+    assert thickness > 4.1
+    found = calibration_of(sensor, kept=False)
+    assert transfer_error(sensor, found) < 0.01  # 0.0031; 0.045 of Hertz's pressure right under the ball
+    deviation = found.facts["fitted"]["thickness"]["deviation"]
+    assert 4 + deviation == pytest.approx(thickness, abs=0.03)
+    scale = sensor.actual.scene.material.youngs_modulus_mpa / sensor.nominal.material.youngs_modulus_mpa
+    error = found.facts["fitted"]["youngs_modulus"]["deviation"] + 1 - scale
+    assert abs(error) < 3 * found.scale_error
+
+
 # --- the fitted design, without pictures ----------------------------------------------------------
 
 
@@ -98,7 +114,7 @@ def test_markers_stand_where_they_are_seen():
         "distortion": (camera.distortion[0] - nominal.distortion[0]) / room.distortion,
     }  # fmt: skip
     scaled = np.array([told.get(name, 0.0) for name in twin.names])
-    assert twin.camera_of(scaled).focal_px == pytest.approx(camera.focal_px)
+    assert twin.optics_of(scaled)[0].focal_px == pytest.approx(camera.focal_px)
     seen = rest_px(actual)
     markers, prints = twin.markers_of(scaled, seen)
     assert prints == pytest.approx(actual.jitter_mm, abs=1e-6)

@@ -218,6 +218,12 @@ class Camera(Part):
         }
         return self.model_copy(update=changes)
 
+    def raised(self, by_mm: float) -> Camera:
+        """Return this camera, held by a base that is higher in z by ``by_mm``."""
+        x, y, z = self.pupil_mm
+        changes = {"pupil_mm": (x, y, z + by_mm), "focus_z_mm": self.focus_z_mm + by_mm}
+        return self.model_copy(update=changes)
+
     def tilt_matrix(self) -> Floats:
         """Return the (3, 3) rotation from camera to body axes: turns about x, y and z, applied
         in this order."""

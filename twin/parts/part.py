@@ -40,6 +40,7 @@ LATER: tuple[tuple[str, object], ...] = (
     ("poisson_ratio", None),
     ("stiff", False),
     ("distortion", 0.0),
+    ("thickness_mm", 0.0),
     ("deforms", False),
     ("law", "linear"),
     ("law_ratios", []),

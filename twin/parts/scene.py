@@ -22,7 +22,7 @@ from pydantic import Field, field_validator, model_validator
 
 from twin.arrays import Chart, Floats, grid_points
 from twin.display import html_table, one_line
-from twin.parts.body import AnyBody
+from twin.parts.body import AnyBody, Block
 from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.load import Footprint, Load
 from twin.parts.markers import MarkerLayer
@@ -42,6 +42,10 @@ FEWEST, LOOSEST, TIGHTEST = 8, 1e-2, 1e-3
 
 
 Across = Annotated[int, Field(ge=FEWEST_PATCHES, le=MOST_PATCHES)]
+OF_THICKNESS = 1.5
+"""Relative error of a force over that of the body's thickness: 0.2 to 1.9, measured on pads of 1.5
+and 3 mm, for loads 0.5 to 4 mm wide, along the surface and into it."""
+
 Percent = Annotated[float, Field(ge=0, le=30)]
 """Of a number that is positive, and stays so: the largest, `CUT` times, leaves a quarter of it."""
 
@@ -175,6 +179,8 @@ class Scene(Part):
             Of Young's modulus, percent.
         poisson_ratio
             Of the shortfall of Poisson's ratio below the nominal value (never above 0.5).
+        thickness_mm
+            Of a block's thickness; the camera moves with its base.
         depth_mm
             Of each marker layer's depth.
         print_mm
@@ -196,6 +202,7 @@ class Scene(Part):
         preset: Literal["standard", "none"] = "standard"
         youngs_modulus_pct: Percent = 1.5
         poisson_ratio: float = Field(default=0.001, ge=0, le=0.2)
+        thickness_mm: float = Field(default=0.0, ge=0, le=5)
         depth_mm: float = Field(default=0.03, ge=0, le=5)
         print_mm: float = Field(default=0.03, ge=0, le=2)
         print_diameter_pct: Percent = 0.0
@@ -205,13 +212,6 @@ class Scene(Part):
         tilt_deg: float = Field(default=0.1, ge=0, le=10)
         focal_pct: float = Field(default=0.3, ge=0, le=10)
         distortion: float = Field(default=0.0, ge=0, le=0.2)
-
-        @property
-        def scale_error(self) -> float:
-            """Standard deviation of a factor on all forces read by the design, over 1."""
-            if self.preset == "none":
-                return 0.0
-            return math.hypot(self.youngs_modulus_pct, self.focal_pct) / 100
 
     class Tracking(Part):
         """How marker centres are measured.
@@ -417,6 +417,16 @@ class Scene(Part):
         return self.imaging[0], self.material.refractive_index, self.body.base_z_mm
 
     @property
+    def scale_error(self) -> float:
+        """Standard deviation of a factor on all forces read by the design, over 1."""
+        room, body = self.tolerance, self.body
+        if room.preset == "none":
+            return 0.0
+        thickness = body.thickness_mm if isinstance(body, Block) else math.inf
+        by_thickness = OF_THICKNESS * room.thickness_mm / thickness
+        return math.hypot(room.youngs_modulus_pct / 100, room.focal_pct / 100, by_thickness)
+
+    @property
     def load(self) -> Load:
         """What the tractions push with."""
         return sum((each.load() for each in self.tractions), Load())
@@ -470,6 +480,7 @@ class Scene(Part):
             raise ValueError(
                 f"{keys}: the cover hides it; set cover.transmittance above 0, or leave [cover] out"
             )
+        self._can_be_made_thinner()
         shortfall = CUT * self.tolerance.poisson_ratio if self.tolerance.preset != "none" else 0.0
         if problems := MarkerLayer.stiff_problems(
             self.body, self.markers, self.material, self.cover, shortfall
@@ -487,6 +498,24 @@ class Scene(Part):
                     "[[material.relaxation]], or leave it out"
                 )
         return self
+
+    def _can_be_made_thinner(self) -> None:
+        """Refuse a tolerance of thickness that the body hasn't, or that cuts into its markers."""
+        room = self.tolerance
+        if not room.thickness_mm:
+            return
+        if not isinstance(self.body, Block):
+            raise ValueError(
+                "tolerance.thickness_mm: only a block has one thickness; leave it out with "
+                f"body.shape = '{self.body.shape}'"
+            )
+        deepest = max((layer.depth_mm for layer in self.markers.values()), default=0.0)
+        most = (self.body.thickness_mm - max(1.0, deepest + CUT * room.depth_mm)) / CUT
+        if room.thickness_mm > most:
+            raise ValueError(
+                f"tolerance.thickness_mm = {room.thickness_mm:g} mm: {CUT:g} times that leaves no "
+                f"room for the markers, or less than 1 mm; take at most {max(most, 0.0):.3g} mm"
+            )
 
 
 def _plain(value: Any) -> Any:

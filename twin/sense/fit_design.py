@@ -83,6 +83,11 @@ class _Design(Protocol):
         """Standard deviation of a marker's place along the surface, mm."""
         ...
 
+    def unsure_px(self, presses: Presses) -> Floats:
+        """Return (q, n) what the design leaves open of a shift's component besides its parameters,
+        as a standard deviation, px."""
+        ...
+
     def predict(
         self, scaled: Floats, rest_px: Pixels, place: Ints, force_n: Floats
     ) -> tuple[Floats, Floats, Floats]:
@@ -124,7 +129,7 @@ class Fit:
     residual_px
         Root mean square of what is left of the shifts' components, px.
     model_px
-        The share of it that the noise doesn't explain, px.
+        The share of it that neither the noise nor the contact's shape explains, px.
     left_out
         (places,) error of a place's shifts when predicted without its presses, noise included, over
         their size.
@@ -149,22 +154,23 @@ class Fit:
         """
         _check(presses)
         scaled, model = np.zeros(len(design.names)), FIRST_MODEL_PX
+        known = np.hypot(presses.noise_px, design.unsure_px(presses))
         for _ in range(ROUNDS):
-            residuals = _Residuals(design, presses, float(np.hypot(presses.noise_px, model)))
+            residuals = _Residuals(design, presses, np.hypot(known, model))
             scaled, slope = _gauss_newton(residuals, scaled)
             left = residuals.press_residual_px(scaled)
-            size = float(np.sqrt(np.nanmean(left**2)))
-            before, model = (
-                model,
-                float(np.sqrt(max(size**2 - presses.noise_px**2, (0.2 * presses.noise_px) ** 2))),
-            )
+            # The model's error is the same everywhere: by moments, each as it is known.
+            weight = np.where(residuals.seen, residuals.sd_px**-4.0, 0.0)
+            excess = weight[:, :, None] * (np.nan_to_num(left) ** 2 - known[:, :, None] ** 2) / 2
+            least = (0.2 * presses.noise_px) ** 2
+            before, model = model, max(float(excess.sum() / weight.sum()), least) ** 0.5
             if abs(model - before) < 0.1 * before:
                 break
         return cls(
             names=design.names,
             scaled=scaled,
             covariance=np.asarray(np.linalg.inv(slope.T @ slope), float),
-            residual_px=size,
+            residual_px=float(np.sqrt(np.nanmean(left**2))),
             model_px=model,
             left_out=_left_out(residuals, scaled, slope),
         )
@@ -195,7 +201,7 @@ class _Residuals:
 
     design: _Design
     presses: Presses
-    noise_px: float
+    sd_px: Floats
 
     @property
     def seen(self) -> Bools:
@@ -214,16 +220,17 @@ class _Residuals:
         left = np.where(seen[:, :, None], presses.shift_px - shift, 0.0)
         spread = np.array([presses.load_cell_n] * 3 + [1.0] + [PLACE_MM] * 2)
         slope = np.where(seen[:, :, None, None], slope * spread, 0.0)
-        rows = slope.reshape(len(left), -1, UNKNOWN) / self.noise_px
+        sd_px = self.sd_px[:, :, None]
+        rows = (slope / sd_px[..., None]).reshape(len(left), -1, UNKNOWN)
         across = rows.transpose(0, 2, 1)
-        pull = across @ (left.reshape(len(left), -1, 1) / self.noise_px)
+        pull = across @ (left / sd_px).reshape(len(left), -1, 1)
         unknown = np.linalg.solve(across @ rows + np.eye(UNKNOWN), pull)[:, :, 0]
         left = left - np.einsum("qnij,qj->qni", slope, unknown)
         return prints, left, np.asarray(unknown, float)
 
     def __call__(self, scaled: Floats) -> Floats:
         prints, left, unknown = self._predicted(scaled)
-        parts = (scaled, prints / self.design.print_mm, left / self.noise_px, unknown)
+        parts = (scaled, prints / self.design.print_mm, left / self.sd_px[:, :, None], unknown)
         return np.concatenate([part.ravel() for part in parts])
 
     def press_residual_px(self, scaled: Floats) -> Floats:

@@ -221,6 +221,7 @@ def _fitted_numbers(scene: Scene, facts: dict[str, Any]) -> list[str]:
     drawn = {
         "youngs_modulus": ("Young's modulus", modulus, modulus, " MPa"),
         "poisson_ratio": ("Poisson's ratio", nu, 1.0, ""),
+        "thickness": ("thickness", getattr(scene.body, "thickness_mm", 0.0), 1.0, " mm"),
         **{
             f"depth_{name}": (f"depth of {name}", layer.depth_mm, 1.0, " mm")
             for name, layer in scene.markers.items()
@@ -440,7 +441,7 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
         left_out=found.left_out,
         compliance=compliance.astype(np.float32),
         marker_mm=markers,
-        camera=made.camera_text(design.camera_of(found.scaled), *scene.optics[1:]),
+        camera=made.camera_text(*design.optics_of(found.scaled)),
     )
     fitted = design.deviations(found)
     modulus = fitted.get("youngs_modulus", {"deviation": 0.0, "sd": 0.0})
@@ -474,7 +475,7 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
         "scene": scene.title,
         "youngs_modulus_mpa": scene.material.youngs_modulus_mpa,
         "relaxation": [(term.share, term.time_s) for term in scene.material.relaxation],
-        "scale_error": 0.0 if measured else scene.tolerance.scale_error,
+        "scale_error": 0.0 if measured else scene.scale_error,
         "seed": scene.seed,
         "versions": {name: version(name) for name in PACKAGES},
     }

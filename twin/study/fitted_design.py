@@ -1,8 +1,8 @@
 """The nominal design with free parameters, which `twin.sense.fit_design` fits.
 
 It is the nominal body on the nominal mesh, never the truth. Displacements scale with stiffness,
-moved markers are interpolated in the same fields, and Poisson's ratio between two bodies, so a set
-of parameters costs milliseconds.
+moved markers are interpolated in the same fields, Poisson's ratio and a block's thickness between
+two bodies each, so a set of parameters costs milliseconds.
 
 A cover of another material adds what it does to the markers as drawn, whatever the parameters.
 
@@ -21,16 +21,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.arrays import Floats, Ints, Pixels, Points
+from twin.parts.body import Block
 from twin.parts.camera import Camera
 from twin.parts.load import Rectangles
+from twin.parts.material import Material
 from twin.parts.scene import Scene
-from twin.sense.fit_design import Fit
+from twin.sense.fit_design import Fit, Presses
 from twin.theory import halfspace
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.compliance import Compliance
 
 if TYPE_CHECKING:
     from twin.world.elasticity.coated import CoveredCompliance
+
+SPREAD = 1 / 3 - 1 / 5
+"""How far the second moments of two contacts' tractions lie apart, radius^2 per axis: a disc's that
+sticks, and Hertz's pressure. Next to a contact the motion depends on it."""
 
 FOOTPRINT_PCT = 10.0
 """Standard deviation of the footprint's radius against Hertz's, percent: what sticking and
@@ -81,11 +87,11 @@ class FittedDesign:
     ) -> None:
         self.covered = covered
         self.scene, self.places, self.radius_mm = scene, places, np.asarray(radius_mm, float)
-        self.camera: Camera = scene.optics[0]
         room = scene.tolerance
         sizes = {
             "youngs_modulus": room.youngs_modulus_pct / 100,
             "poisson_ratio": room.poisson_ratio,
+            "thickness": room.thickness_mm if isinstance(scene.body, Block) else 0.0,
             **{f"depth_{name}": room.depth_mm for name in scene.markers},
             **{f"pupil_{axis}": room.pupil_mm for axis in AXES},
             **{f"tilt_{axis}": room.tilt_deg for axis in AXES},
@@ -93,6 +99,7 @@ class FittedDesign:
             "distortion": room.distortion,
             "footprint": FOOTPRINT_PCT / 100,
         }
+        self._parameters = tuple(sizes)
         self.sizes = {name: size for name, size in sizes.items() if size > 0}
         self.names = tuple(self.sizes)
         self.print_mm = max(room.print_mm, 1e-3)
@@ -102,15 +109,26 @@ class FittedDesign:
         self._chart = np.concatenate([layer.chart() for layer in scene.markers.values()])
         self._layer = np.repeat(list(scene.markers), counts)
 
+    def _body(self, **changes: Block | Material) -> Compliance:
+        scene = self.scene.model_copy(update=changes)
+        return Compliance(scene.body, scene.material, level="nominal", progress=self._progress)
+
     @cached_property
-    def _bodies(self) -> tuple[Compliance, Compliance]:
+    def _nominal(self) -> Compliance:
+        return self._body()
+
+    @cached_property
+    def _softer(self) -> Compliance:
         nominal = self.scene.material
-        softer = nominal.model_copy(update={"poisson_ratio": nominal.poisson_ratio - NU_STEP})
-        made = [
-            Compliance(self.scene.body, m, level="nominal", progress=self._progress)
-            for m in (nominal, softer)
-        ]
-        return made[0], made[1]
+        nu = nominal.poisson_ratio - NU_STEP
+        return self._body(material=nominal.model_copy(update={"poisson_ratio": nu}))
+
+    @cached_property
+    def _thicker(self) -> Compliance:
+        block = self.scene.body
+        assert isinstance(block, Block)
+        thickness = block.thickness_mm + self.sizes["thickness"]
+        return self._body(body=block.model_copy(update={"thickness_mm": thickness}))
 
     def _by_cover(self, sites: Rectangles) -> Floats | float:
         """Return (3n, 3k) mm/N, by how much the nominal cover moves the markers as drawn more."""
@@ -120,38 +138,39 @@ class FittedDesign:
         if key not in self._added:
             none_seen = np.full((len(self._chart), 2), np.nan)
             drawn, _ = self.markers_of(np.zeros(len(self.names)), none_seen)
-            bare = self._bodies[0].to_points(drawn, sites)
+            bare = self._nominal.to_points(drawn, sites)
             self._added[key] = self.covered.to_points(drawn, sites) - bare
         return self._added[key]
 
     def _values(self, scaled: Floats) -> dict[str, float]:
-        """Return the parameters' deviations in their own units."""
-        single = ("poisson_ratio", "youngs_modulus", "focal", "distortion", "footprint")
-        found = dict.fromkeys(single, 0.0)
+        """Return the deviations of all parameters in their own units, 0 of those not fitted."""
+        found = dict.fromkeys(self._parameters, 0.0)
         for (name, size), z in zip(self.sizes.items(), scaled, strict=True):
             found[name] = size * float(z)
             if name == "poisson_ratio":
                 found[name] = min(SHORTFALL_SD * found[name] - SHORTFALL * size, 0.0)
         return found
 
-    def camera_of(self, scaled: Floats) -> Camera:
-        """Return the camera that the parameters say."""
+    def optics_of(self, scaled: Floats) -> tuple[Camera, float, float]:
+        """Return the camera that the parameters say, the refractive index, and the height of the
+        base, mm."""
         found = self._values(scaled)
-        nominal = self.camera
-        return nominal.deviating(
-            self.scene.body.base_z_mm + sum(layer.thickness_mm for layer in nominal.layers),
-            [found.get(f"pupil_{axis}", 0.0) for axis in AXES],
-            [found.get(f"tilt_{axis}", 0.0) for axis in AXES],
+        nominal, index, base = self.scene.optics
+        camera = nominal.deviating(
+            base + sum(layer.thickness_mm for layer in nominal.layers),
+            [found[f"pupil_{axis}"] for axis in AXES],
+            [found[f"tilt_{axis}"] for axis in AXES],
             found["focal"],
             found["distortion"],
         )
+        return camera.raised(found["thickness"]), index, base + found["thickness"]
 
     def markers_of(self, scaled: Floats, rest_px: Pixels) -> tuple[Points, Floats]:
         """Return the (n, 3) markers, mm, that are seen at ``rest_px``, and their (n, 2) print
         errors, mm."""
-        camera, found = self.camera_of(scaled), self._values(scaled)
+        optics, found = self.optics_of(scaled), self._values(scaled)
         depths = {
-            name: layer.depth_mm + found.get(f"depth_{name}", 0.0)
+            name: layer.depth_mm + found[f"depth_{name}"]
             for name, layer in self.scene.markers.items()
         }
         depth = np.array([depths[str(name)] for name in self._layer])
@@ -165,56 +184,68 @@ class FittedDesign:
                 (body.chart_points(self._chart + error + step * d, depth) - here) / step
                 for d in np.eye(2)
             ]
-            slope = self._seen_slope(here, camera) @ np.stack(along, axis=2)
-            miss = np.where(seen[:, None], rest_px - self.seen(here, camera), 0.0)
+            slope = project_with_jacobian(here, *optics)[1] @ np.stack(along, axis=2)
+            miss = np.where(seen[:, None], rest_px - project(here, *optics), 0.0)
             error = error + np.clip(np.linalg.solve(slope, miss[:, :, None])[:, :, 0], -1.0, 1.0)
         return body.chart_points(self._chart + error, depth), error
+
+    def unsure_px(self, presses: Presses) -> Floats:
+        """See `twin.sense.fit_design.Design.unsure_px`: what the unknown pressure under the contact
+        does, whose force is known.
+
+        At a distance d from a contact of radius a it is of the order of (a/d)^2 times the second
+        moment of the pressure's error (Saint-Venant).
+        """
+        markers, _ = self.markers_of(np.zeros(len(self.names)), presses.rest_px)
+        here = self.places.centre_mm[presses.place]
+        away = np.linalg.norm(markers - here[:, None], axis=2) / self.radius_mm[presses.place, None]
+        size = np.nan_to_num(np.linalg.norm(presses.shift_px, axis=2)) / 2**0.5
+        size = np.where(away < 1, size.max(axis=1, keepdims=True), size)
+        return np.asarray(SPREAD * size / away**2)
 
     def predict(
         self, scaled: Floats, rest_px: Pixels, place: Ints, force_n: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """See `twin.sense.fit_design.Design.predict`."""
-        camera = self.camera_of(scaled)
+        optics = self.optics_of(scaled)
         markers, prints = self.markers_of(scaled, rest_px)
         by_place = self._footprints(scaled, markers)
-        rest = self.seen(markers, camera)
+        rest = project(markers, *optics)
         shifts, slopes = [], []
         for where, force in zip(place, force_n, strict=True):
             here, *others = by_place[where]
             moved = markers + (here @ force).reshape(-1, 3)
-            shifts.append(self.seen(moved, camera) - rest)
+            shifts.append(project(moved, *optics) - rest)
             by_others = np.stack([(slope @ force).reshape(-1, 3) for slope in others], axis=2)
             columns = np.concatenate([here.reshape(-1, 3, 3), by_others], axis=2)
-            slopes.append(self._seen_slope(moved, camera) @ columns)
+            slopes.append(project_with_jacobian(moved, *optics)[1] @ columns)
         return prints, np.stack(shifts), np.stack(slopes)
 
     def compliance(self, scaled: Floats, markers: Points, sites: Rectangles) -> Floats:
         """Return (3n, 3k) mm/N of markers at their fitted places per force on squares of the
         surface."""
         found = self._values(scaled)
-        nominal, softer = self._bodies
-        share = -found["poisson_ratio"] / NU_STEP
         columns = []
         # few at a time have fields, which serve other markers too
         for first in range(0, len(sites), 2 * len(markers)):
             which = slice(first, first + 2 * len(markers))
             few = sites[which]
-            here = nominal.to_points(markers, few)
-            if share:
-                here = here + share * (softer.to_points(markers, few) - here)
-            columns.append(here)
+            here = column = self._nominal.to_points(markers, few)
+            if share := -found["poisson_ratio"] / NU_STEP:
+                column = column + share * (self._softer.to_points(markers, few) - here)
+            if found["thickness"]:
+                share = found["thickness"] / self.sizes["thickness"]
+                column = column + share * (self._thicker.to_points(markers, few) - here)
+            columns.append(column)
         whole = np.concatenate(columns, axis=1) + self._by_cover(sites)
         return np.asarray(whole / (1 + found["youngs_modulus"]))
-
-    def seen(self, points: Points, camera: Camera) -> Pixels:
-        """Return where a camera sees points of the nominal body, px."""
-        return project(points, camera, *self.scene.optics[1:])
 
     def transfer(self, scaled: Floats, markers: Points, compliance: Floats) -> Floats:
         """Return (2n, 3k) px/N: the compliance through the fitted camera."""
         from twin.sense.transfer import from_compliance
 
-        return from_compliance(compliance, self._seen_slope(markers, self.camera_of(scaled)))
+        seen = project_with_jacobian(markers, *self.optics_of(scaled))[1]
+        return from_compliance(compliance, seen)
 
     def deviations(self, fit: Fit) -> dict[str, dict[str, float]]:
         """Return the fitted deviations from the drawing and their standard deviations, in the
@@ -307,6 +338,3 @@ class FittedDesign:
         offsets = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
         keep = cells[0] > 0
         return offsets[keep], cells[:, keep] / cells.sum(axis=1, keepdims=True)
-
-    def _seen_slope(self, points: Points, camera: Camera) -> Floats:
-        return project_with_jacobian(points, camera, *self.scene.optics[1:])[1]

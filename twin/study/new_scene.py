@@ -16,6 +16,7 @@ from pathlib import Path
 from twin.errors import InputError
 from twin.files import write_whole
 from twin.parts.markers import MarkerSet
+from twin.parts.vary import CUT
 from twin.study.doubts import doubts
 from twin.study.recipe import validate_scene
 
@@ -221,6 +222,8 @@ def _recipe_of(pad: Pad) -> str:
     ground = [0.35] * 3 if len(layers) == 1 else [0.03] * 3
     corners = [[x, y, led_z] for x in (led, -led) for y in (led, -led)]
     slack = min(0.03, min(depth_mm for depth_mm, *_ in layers) / 5)
+    deepest = max(depth_mm for depth_mm, *_ in layers) + CUT * slack
+    uneven = min(0.02 * thickness, 0.9 * max(thickness - max(1.0, deepest), 0.0) / CUT)
     printed = min(0.03, min(pitch for _, pitch, _ in layers) / 20)
     return f"""title = "A pad of {width:g} x {length:g} x {thickness:g} mm, by twin scenes --new"
 seed = 1              # another number: another made sensor, other noise
@@ -285,6 +288,7 @@ assumed = "well below the noise of the tracker"
 
 [tolerance]               # how well the maker knows the sensor: standard deviations
 youngs_modulus_pct = 1.5
+thickness_mm = {uneven:.3g}
 depth_mm = {slack:.3g}
 print_mm = {printed:.3g}
 pupil_mm = 0.05
@@ -293,6 +297,8 @@ assumed = "careful casting and a ruler"
 
 [calibration]
 method = "compliance"     # from the design; "fitted" for a real sensor's presses
+press_probe_mm = {probe:.3g}    # the ball of those presses
+press_force_n = {force:.3g}
 
 [reconstruction]
 method = "local"          # smooth finds far too little force on thin pads and by one layer

@@ -18,6 +18,7 @@ import numpy as np
 from twin.arrays import Chart, Floats, Picture, Pixels, Points, Progress, Singles, frozen
 from twin.blas_threads import one_blas_thread
 from twin.errors import AccuracyWarning, ContactError, InputError, RecipeError, require
+from twin.parts.body import Block
 from twin.parts.load import Load, Rectangles
 from twin.parts.markers import MarkerSet
 from twin.parts.part import Purpose
@@ -151,14 +152,20 @@ def _make(nominal: Scene) -> _Actual:
             tolerance.focal_pct / 100 * deviation(),
             tolerance.distortion * deviation() if tolerance.distortion else 0.0,
         )
-    # The print of single markers has a stream of its own.
+    # The thickness; the camera is held by the base.
+    body = nominal.body
+    if tolerance.thickness_mm and isinstance(body, Block):
+        thicker = tolerance.thickness_mm * deviation()
+        body = body.model_copy(update={"thickness_mm": body.thickness_mm + thicker})
+        camera = camera and camera.raised(thicker)
     changes = {"material": material, "cover": cover, "markers": layers, "camera": camera}
+    # The print of single markers has a stream of its own.
     noise = Purpose.PRINT.stream(nominal.seed).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)
     return _Actual(
-        scene=nominal.model_copy(update=changes),
+        scene=nominal.model_copy(update=changes | {"body": body}),
         jitter_mm=frozen(jitter),
-        markers=MarkerSet.place(nominal.body, layers, jitter),
+        markers=MarkerSet.place(body, layers, jitter),
         prints=_prints(nominal, count),
     )
 
