@@ -190,7 +190,7 @@ def test_a_number_has_a_sentence_its_unit_and_a_verdict() -> None:
 def test_verdicts_change_at_the_printed_limits() -> None:
     for key, (good, fair) in LIMITS.items():
         stage, name = key.split(".")
-        if name == "unmatched":
+        if name == "matched":
             continue
         for value, verdict in ((good, "good"), (fair, "fair"), (fair + 1.0, "poor")):
             assert found({stage: {name: value}})[key].verdict == verdict

@@ -11,6 +11,7 @@ sites is measured in the x, y plane. The mesh rounds sharp edges inside the sens
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 
 __all__ = ["AnyBody", "Block", "Body", "Dome", "Finger", "Solid"]
+
+Vector = tuple[float, float, float]
 
 _AXES = np.eye(3)
 _INWARD = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]], float)
@@ -105,12 +108,70 @@ class Block(Body):
         return self.width_mm * self.length_mm * self.thickness_mm
 
 
+class _Round(Body):
+    """A body whose sensing surface lies ``radius_mm`` from a core; its other pieces are flat."""
+
+    if TYPE_CHECKING:
+        radius_mm: float
+
+    @abstractmethod
+    def _core(self, points: Points) -> Points:
+        """Return the (n, 3) places of the core nearest to points."""
+
+    @property
+    @abstractmethod
+    def _planes(self) -> tuple[tuple[Vector, float], ...]:
+        """Inward normal of each flat piece, and its distance, mm, from the origin."""
+
+    def _from_core(self, points: Points) -> tuple[Points, Floats]:
+        away = np.asarray(points, float) - self._core(points)
+        return away, np.linalg.norm(away, axis=1)
+
+    def piece_distances(self, points: Points) -> Floats:
+        _, distance = self._from_core(points)
+        flat = [np.asarray(points, float) @ normal + offset for normal, offset in self._planes]
+        return np.stack([self.radius_mm - distance, *flat], axis=1)
+
+    def piece_normals(self, points: Points) -> Floats:
+        away, distance = self._from_core(points)
+        normals = np.zeros((len(away), len(self.pieces), 3))
+        normals[:, 0] = -away / np.maximum(distance, 1e-300)[:, None]
+        normals[:, 1:] = [normal for normal, _ in self._planes]
+        return normals
+
+    def chart_points(self, chart: Chart, depth_mm: Floats | float = 0.0) -> Points:
+        start = np.column_stack([np.asarray(chart, float), np.zeros(len(chart))])
+        core = self._core(start)[:, :2]
+        bent = start[:, :2] - core
+        rho = np.linalg.norm(bent, axis=1)
+        r = self.radius_mm - np.broadcast_to(np.asarray(depth_mm, float), rho.shape)
+        sideways = r * np.sin(rho / self.radius_mm) / np.where(rho > 0, rho, 1.0)
+        height = self.radius_mm - r * np.cos(rho / self.radius_mm)
+        return np.column_stack([core + sideways[:, None] * bent, height])
+
+    def chart_of(self, points: Points) -> Chart:
+        away, _ = self._from_core(points)
+        length = np.linalg.norm(away[:, :2], axis=1)
+        rho = self.radius_mm * np.arctan2(length, -away[:, 2])
+        bent = away[:, :2] * (rho / np.where(length > 0, length, 1.0))[:, None]
+        return np.asarray(self._core(points)[:, :2] + bent)
+
+    def surface_from_above(self, xy: Floats) -> Points:
+        points = np.column_stack([np.asarray(xy, float), np.zeros(len(xy))])
+        away = points[:, :2] - self._core(points)[:, :2]
+        squared = self.radius_mm**2 - (away**2).sum(axis=1)
+        points[:, 2] = self.radius_mm - np.sqrt(np.where(squared >= 0, squared, np.nan))
+        beyond = [points @ normal + offset < 0 for normal, offset in self._planes]
+        points[np.any(beyond, axis=0), 2] = np.nan
+        return points
+
+
 FLATTEST = 0.3
 """Least height over radius: a flatter cap ends in so sharp a wedge at its rim that its elements
 fail the gates."""
 
 
-class Dome(Body):
+class Dome(_Round):
     """The part z <= height of a ball of ``radius_mm`` whose apex is the origin, bonded at its flat
     base z = height.
 
@@ -146,43 +207,12 @@ class Dome(Body):
         """Radius of the held base, mm."""
         return math.sqrt(self.height_mm * (2 * self.radius_mm - self.height_mm))
 
-    def _from_centre(self, points: Points) -> tuple[Points, Floats]:
-        away = np.asarray(points, float) - [0.0, 0.0, self.radius_mm]
-        return away, np.linalg.norm(away, axis=1)
+    def _core(self, points: Points) -> Points:
+        return np.broadcast_to([0.0, 0.0, self.radius_mm], (len(points), 3))
 
-    def piece_distances(self, points: Points) -> Floats:
-        away, distance = self._from_centre(points)
-        return np.stack(
-            [self.radius_mm - distance, self.height_mm - self.radius_mm - away[:, 2]], axis=1
-        )
-
-    def piece_normals(self, points: Points) -> Floats:
-        away, distance = self._from_centre(points)
-        normals = np.zeros((len(away), 2, 3))
-        normals[:, 0] = -away / np.maximum(distance, 1e-300)[:, None]
-        normals[:, 1] = [0.0, 0.0, -1.0]
-        return normals
-
-    def chart_points(self, chart: Chart, depth_mm: Floats | float = 0.0) -> Points:
-        chart = np.asarray(chart, float)
-        rho = np.linalg.norm(chart, axis=1)
-        r = self.radius_mm - np.broadcast_to(np.asarray(depth_mm, float), rho.shape)
-        sideways = r * np.sinc(rho / self.radius_mm / math.pi) / self.radius_mm
-        return np.column_stack(
-            [sideways[:, None] * chart, self.radius_mm - r * np.cos(rho / self.radius_mm)]
-        )
-
-    def chart_of(self, points: Points) -> Chart:
-        away, _ = self._from_centre(points)
-        length = np.linalg.norm(away[:, :2], axis=1)
-        rho = self.radius_mm * np.arctan2(length, -away[:, 2])
-        return np.asarray(away[:, :2] * (rho / np.where(length > 0, length, 1.0))[:, None])
-
-    def surface_from_above(self, xy: Floats) -> Points:
-        x, y = np.asarray(xy, float).T
-        squared = self.radius_mm**2 - x**2 - y**2
-        z = self.radius_mm - np.sqrt(np.where(squared >= 0, squared, np.nan))
-        return np.column_stack([x, y, np.where(z <= self.height_mm, z, np.nan)])
+    @property
+    def _planes(self) -> tuple[tuple[Vector, float], ...]:
+        return (((0.0, 0.0, -1.0), self.height_mm),)
 
     @property
     def bounds_mm(self) -> Bounds:
@@ -194,7 +224,7 @@ class Dome(Body):
         return math.pi * self.height_mm**2 * (3 * self.radius_mm - self.height_mm) / 3
 
 
-class Finger(Body):
+class Finger(_Round):
     """Half cylinder along x, quarter sphere at the tip (+x), straight skirt below: all points
     within ``radius_mm`` of the core C = {x <= 0, y = 0, z >= radius}, cut at x = -barrel and at z =
     radius + skirt, which is bonded.
@@ -225,58 +255,13 @@ class Finger(Body):
     def held_pieces(self) -> tuple[int, ...]:
         return (2,) if self.back == "free" else (1, 2)
 
-    def _from_core(self, points: Points) -> tuple[Floats, Floats]:
-        points = np.asarray(points, float)
-        core = np.zeros_like(points)
-        core[:, 0] = np.minimum(points[:, 0], 0.0)
-        core[:, 2] = np.maximum(points[:, 2], self.radius_mm)
-        away = points - core
-        return away, np.linalg.norm(away, axis=1)
+    def _core(self, points: Points) -> Points:
+        x, _, z = np.asarray(points, float).T
+        return np.column_stack([np.minimum(x, 0.0), 0.0 * x, np.maximum(z, self.radius_mm)])
 
-    def piece_distances(self, points: Points) -> Floats:
-        points = np.asarray(points, float)
-        _, distance = self._from_core(points)
-        return np.stack(
-            [
-                self.radius_mm - distance,
-                points[:, 0] + self.barrel_mm,
-                self.base_z_mm - points[:, 2],
-            ],
-            axis=1,
-        )
-
-    def piece_normals(self, points: Points) -> Floats:
-        away, distance = self._from_core(points)
-        normals = np.zeros((len(away), 3, 3))
-        normals[:, 0] = -away / np.maximum(distance, 1e-300)[:, None]
-        normals[:, 1] = [1.0, 0.0, 0.0]
-        normals[:, 2] = [0.0, 0.0, -1.0]
-        return normals
-
-    def chart_points(self, chart: Chart, depth_mm: Floats | float = 0.0) -> Points:
-        s, t = np.asarray(chart, float).T
-        radius = self.radius_mm
-        r = radius - np.broadcast_to(np.asarray(depth_mm, float), s.shape)
-        rho = np.where(s > 0, np.hypot(s, t), np.abs(t))
-        safe = np.where(rho > 0, rho, 1.0)
-        along = r * np.sin(rho / radius) / safe
-        x = np.where(s > 0, along * s, s)
-        return np.column_stack([x, along * t, radius - r * np.cos(rho / radius)])
-
-    def chart_of(self, points: Points) -> Chart:
-        away, _distance = self._from_core(points)
-        sideways = np.where(away[:, :1] > 0, away[:, :2], away[:, :2] * [0.0, 1.0])
-        length = np.linalg.norm(sideways, axis=1)
-        rho = self.radius_mm * np.arctan2(length, -away[:, 2])
-        chart = sideways * (rho / np.where(length > 0, length, 1.0))[:, None]
-        chart[:, 0] += np.minimum(np.asarray(points, float)[:, 0], 0.0)
-        return np.asarray(chart)
-
-    def surface_from_above(self, xy: Floats) -> Points:
-        x, y = np.asarray(xy, float).T
-        squared = self.radius_mm**2 - y**2 - np.maximum(x, 0.0) ** 2
-        z = self.radius_mm - np.sqrt(np.where(squared >= 0, squared, np.nan))
-        return np.column_stack([x, y, np.where(x >= -self.barrel_mm, z, np.nan)])
+    @property
+    def _planes(self) -> tuple[tuple[Vector, float], ...]:
+        return ((1.0, 0.0, 0.0), self.barrel_mm), ((0.0, 0.0, -1.0), self.base_z_mm)
 
     @property
     def base_z_mm(self) -> float:
@@ -293,8 +278,6 @@ class Finger(Body):
         footprint = 2 * r * self.barrel_mm + math.pi * r**2 / 2
         return math.pi * r**2 / 2 * self.barrel_mm + math.pi * r**3 / 3 + footprint * self.skirt_mm
 
-
-Vector = tuple[float, float, float]
 
 CREASE_DEG = 30.0
 """Neighbouring triangles that meet at a sharper angle belong to different pieces."""

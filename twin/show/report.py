@@ -5,8 +5,7 @@ in the picture if there is one, otherwise in the body; true and estimated forces
 and to the same scale; under the probe, which patches stick and which slip, and the pressure with
 its closed form.
 
-The file's order: tables of names; `report`; its sections, first those of text and numbers, then
-(from `_Sighting` on) the drawings of markers, forces and contacts.
+The file's order: `report`; its sections, first those of text and numbers, then
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice
 from twin.files import png_bytes
 from twin.parts.part import UNITS
 from twin.results import RunResult, Truth
-from twin.show.explain import LIMITS, one_layer
+from twin.show.explain import LIMITS, WORDS, one_layer
 from twin.show.html_page import cleaned, digits, figure, finite, page, table, two_columns
 from twin.show.svg_plots import Axes
 
@@ -36,98 +35,6 @@ _STAGES = ("elastic", "tracking", "force")
 _UNITS = {**UNITS, "deg": "°", "s": "s", "mm2": "mm²", "mm3": "mm³"}
 """Unit of a key by its suffix."""
 
-_NAMES = {
-    "elastic.displacement_error": (
-        "displacement error",
-        "estimated, over the largest displacement: of the finite elements alone, at finite strain "
-        "by all causes",
-    ),
-    "elastic.largest_displacement_mm": ("largest displacement", "of a marker, for comparison"),
-    "elastic.largest_strain": ("largest strain", "principal, by linear theory, at a marker"),
-    "elastic.largest_turn_deg": ("largest turn", "of the rubber at a marker"),
-    "elastic.contact_over_probe_radius": (
-        "contact radius / probe radius",
-        "of a sphere; linear contact wants 30 % at most",
-    ),
-    "elastic.linearisation_error": (
-        "cost of linearity",
-        "at the markers, over the largest displacement: measured, or estimated as the largest to "
-        "expect (the page's facts say which)",
-    ),
-    "elastic.force_error": ("force error", "estimated, of every probe's total force"),
-    "elastic.indentation_error": ("indentation error", "estimated"),
-    "elastic.traction_error": (
-        "traction error",
-        "estimated, root mean square over that of the tractions",
-    ),
-    "elastic.markers_error": (
-        "markers' error",
-        "estimated, of all causes together, over the largest displacement",
-    ),
-    "elastic.creep_error": (
-        "cost of creep",
-        "total force that takes the rubber's motion for elastic, off the true one, over it",
-    ),
-    "elastic.contact_residual": (
-        "contact residual",
-        "what is left of the contact's equations",
-    ),
-    "tracking.bias_px": ("bias", "length of the mean of tracked minus true shift"),
-    "tracking.bias_axes_px": ("bias by axis", "mean of tracked minus true shift, column and row"),
-    "tracking.sd_px": (
-        "standard deviation",
-        "of the two-frame shift, per axis, markers in full view",
-    ),
-    "tracking.sd_axes_px": ("standard deviation by axis", "column and row"),
-    "tracking.false_positives": (
-        "false positives",
-        "markers given a shift though nothing of them is to be seen",
-    ),
-    "tracking.bound_px": (
-        "bound",
-        "least standard deviation that the pictures' noise allows (Cramer and Rao)",
-    ),
-    "tracking.over_bound": ("over the bound", "standard deviation over the bound"),
-    "tracking.matched": ("matched", "visible markers found again in the pressed picture"),
-    "tracking.gross": ("gross errors", "markers found at a wrong place; left out above"),
-    "tracking.markers": ("markers", "that this stage counts"),
-    "force.field_error": (
-        "field error",
-        "length of the difference over length of the truth, by site cell",
-    ),
-    "force.field_stated": ("field error, stated", "what the software states of it"),
-    "force.field_error_normal": (
-        "field error, normal",
-        "the same of the forces along the inward normals",
-    ),
-    "force.field_error_tangential": (
-        "field error, tangential",
-        "the same of the forces along the surface",
-    ),
-    "force.total_force_error_axes": (
-        "total force error by axis",
-        "x, y and z, over the size of the resultant",
-    ),
-    "force.total_force_error": ("total force error", "of the resultant, over its size"),
-    "force.total_force_stated": ("total force error, stated", "what the software states of it"),
-    "force.sites_force_error": (
-        "error of the sites' sum",
-        "of the sum of the sites' forces; it is not the resultant where they may only push or "
-        "obey friction",
-    ),
-    "force.torque_error": (
-        "torque error",
-        "of the torque about the origin, over its size or the force times 1 mm, whichever is "
-        "larger",
-    ),
-    "force.torque_error_nmm": ("torque error", "of the torque about the origin"),
-    "force.torque_stated_nmm": ("torque error, stated", "what the software states of it"),
-    "force.centre_error_mm": (
-        "centre error",
-        "distance between true and estimated centre of force",
-    ),
-}
-"""Names and meanings of the figures of ``score.json``; others are named by their key."""
 
 _SHARES = (
     *("_error", "_error_normal", "_error_tangential", "_error_axes"),
@@ -440,14 +347,13 @@ def _split_unit(key: str) -> tuple[str, str]:
 def _name_of(key: str) -> tuple[str, str]:
     """Return name and meaning of a figure given as ``stage.key``; ``stage.group.key`` means what
     ``stage.key`` does."""
-    if key in _NAMES:
-        return _NAMES[key]
-    stage, *groups = key.split(".")
-    if not groups:
+    stage, _, rest = key.partition(".")
+    *groups, last = rest.split(".")
+    if not last:
         return "all figures", ""
-    *groups, last = groups
-    name, meaning = _NAMES.get(f"{stage}.{last}", (_split_unit(last)[0], ""))
-    return " ".join([*(g.replace("_", " ") + ":" for g in groups), name]), meaning
+    words = WORDS.get(f"{stage}.{last}", {})
+    name = words.get("name", _split_unit(last)[0])
+    return " ".join([*(g.replace("_", " ") + ":" for g in groups), name]), words.get("meaning", "")
 
 
 def _amount(key: str, value: float) -> str:

@@ -5,7 +5,7 @@ Overrides switch one modelled cause off or change one design number. Rest pictur
 calibrations are kept; variants that differ in camera or software alone share the presses of one
 body, because the press is most of the work on the finger.
 
-An entry declares what it measures, the numbers that it takes from that, its causes and its ranges.
+The function of an entry states what is measured, the numbers taken from that, causes and ranges.
 `Bench.compare` makes the runs and their records (`twin.study.reproduce.record`).
 
 The file's order: constants; entries (`Entry`, `Outcome`); made sensors (`Rig`, kept by `Bench`);
@@ -129,21 +129,7 @@ WAYS: tuple[Way, ...] = ("digital", "re-rendered")
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One table or figure.
-
-    Attributes
-    ----------
-    name
-        ``paper/table-1``.
-    title, source
-        What it shows, and where in the paper.
-    protocol
-        What is done, in the paper's order, with what is assumed.
-    run
-        Does it.
-    long
-        Whether the quick form leaves it out unless it is named.
-    """
+    """One table or figure: what ``entries.toml`` declares of it, and the function that makes it."""
 
     @dataclass(frozen=True, kw_only=True)
     class Outcome:
@@ -158,8 +144,10 @@ class Entry:
     title: str
     source: str
     protocol: str
-    run: Callable[[Bench], Outcome]
+    cpu_seconds: int
+    memory_gb: float | None = None
     long: bool = False
+    run: Callable[[Bench], Outcome]
 
 
 class _KeptSensor(Sensor):

@@ -704,79 +704,18 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Entry.Outcome:
     return Entry.Outcome(records=records, notes=notes)
 
 
-DESIGN_LIMITS = (
-    Entry(
-        name="kamiyama/conclusion",
-        title="What it takes to resolve 2 mm",
-        source="Kamiyama, section 6: 2 mm not yet attained; expected of closer markers and better "
-        "tracking",
-        protocol="Two narrow forces along z, ever further apart, on the published sensor and on "
-        "better ones, through picture, tracker and inverse; next to them the closed-form limit of "
-        "the design.",
-        run=_conclusion,
-    ),
-    Entry(
-        name="sato/2mm-prediction",
-        title="Would a pitch of 1.0 mm and a diameter of 0.2 mm give 2 mm?",
-        source="Sato, section IV",
-        protocol="The finger with finer markers, its 640 x 480 picture as before (a marker is 6 px "
-        "wide), 121 sites 1 mm apart: the 3 mm sphere of Fig. 9, a narrow force, and two narrow "
-        "forces.",
-        run=_prediction,
-        long=True,
-    ),
-    Entry(
-        name="beyond/half-space",
-        title="The papers' half-space against the real block",
-        source="Kamiyama, section 3: the elastic body must be large enough to satisfy the "
-        "half-space assumption",
-        protocol="A force of 1 N on 4 x 4 mm along each axis; the motion of the markers by the "
-        "papers' formula and by the block of 100 x 90 x 40 mm bonded to its plate.",
-        run=_half_space,
-    ),
-    Entry(
-        name="beyond/limits",
-        title="What limits each sensor",
-        source="beyond the papers",
-        protocol="The papers' tracker and inverse on the papers' sensors, with one thing changed "
-        "at a time: noise, depth, pitch, lens, model. A narrow force of 1 N, and two of them ever "
-        "further apart; next to them the design's closed-form limit.",
-        run=_limiting_causes,
-        long=True,
-    ),
-    Entry(
-        name="kamiyama/times",
-        title="Time from the frame to the force field",
-        source="Kamiyama, sections 4.3.1 and 6",
-        protocol="One frame of the pillar, tracked from where the markers were nine tenths of the "
-        "way before and reconstructed, again and again on one thread, whose own time is taken; the "
-        "weight is given, as the paper's was.",
-        run=_flat_times,
-    ),
-    Entry(
-        name="sato/table-2",
-        title="Calculation time for one and for four sensors",
-        source="Sato, section III D, Table II",
-        protocol=f"Average and standard deviation of {TRIALS} runs from the frame to the force "
-        "field, one sensor and four after each other, on one thread, whose own time is taken.",
-        run=_finger_times,
-    ),
-    *(
-        Entry(
-            name=f"beyond/same-hardware-{hardware.ours.paper}",
-            title=f"What {hardware.ours.paper.title()}'s hardware reaches with this project's "
-            "tracker, calibration and inverse",
-            source="beyond the papers",
-            protocol="The paper's body, markers, camera and capture chain; the disc-fit tracker, "
-            "the nominal body's compliance, and the inverse that expects forces where a first "
-            "solution has some (`local`). Next to them the paper's numbers, and the same with the "
-            "paper's own tracker, calibration and inverse.",
-            run=partial(_same_hardware, hardware=hardware),
-            long=True,
-        )
-        for hardware in HARDWARE
-    ),
-)
+DESIGN_LIMITS: dict[str, Callable[[Bench], Entry.Outcome]] = {
+    "kamiyama/conclusion": _conclusion,
+    "sato/2mm-prediction": _prediction,
+    "beyond/half-space": _half_space,
+    "beyond/limits": _limiting_causes,
+    "kamiyama/times": _flat_times,
+    "sato/table-2": _finger_times,
+    **{
+        f"beyond/same-hardware-{each.ours.paper}": partial(_same_hardware, hardware=each)
+        for each in HARDWARE
+    },
+}
 
 
 def in_short(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:

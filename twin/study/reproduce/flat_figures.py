@@ -531,93 +531,15 @@ def _figure_17(bench: Bench) -> Entry.Outcome:
     return Entry.Outcome(records=Record.of_runs([numbers(found)], off), panels=(panel,))
 
 
-_PROTOCOL = (
-    f"A 5 mm pillar presses along z at the middle ({PILLAR_N:g} N, assumed); the paper's tracker, "
-    "the paper's half-space with the projection of all three axes, the paper's constraint, its "
-    "weight chosen by this project as the paper gives none."
-)
-FLAT_FIGURES = (
-    Entry(
-        name="kamiyama/fig-6",
-        title="The picture, and its red and blue parts",
-        source="Kamiyama, sections 3 and 4.1, Fig. 6",
-        protocol="A picture at rest; the difference of red and blue, its positive part the red "
-        "layer, its negative part the blue one. The size of a pixel is the nominal pitch over the "
-        "tracked one.",
-        run=_figure_6,
-    ),
-    Entry(
-        name="kamiyama/fig-9",
-        title="Red displacement field under a 5 mm pillar",
-        source="Kamiyama, section 4.2, Fig. 9, and section 5.1 for the largest movement",
-        protocol="The pillar presses along z at the middle without friction; red markers are "
-        f"tracked from rest. The force is assumed ({PILLAR_N:g} N at E = 1 MPa).",
-        run=_figure_9,
-    ),
-    Entry(
-        name="kamiyama/fig-10",
-        title="Force field by the least norm of differences, and without any constraint",
-        source="Kamiyama, section 4.3.1, Fig. 10, equations 11 and 12",
-        protocol=_PROTOCOL + " Differences are taken in two dimensions and per component: equation "
-        "11's chain wraps at the ends of rows.",
-        run=_figure_10,
-    ),
-    Entry(
-        name="kamiyama/fig-11",
-        title="Force field by the least norm",
-        source="Kamiyama, section 4.3.1, Fig. 11, equations 14 and 15",
-        protocol=_PROTOCOL,
-        run=partial(_pillar_field, "least norm", NORM),
-    ),
-    Entry(
-        name="kamiyama/fig-12",
-        title="Force field with pushes only",
-        source="Kamiyama, section 4.3.1, Fig. 12, equation 13 with the differences of equation 11",
-        protocol=_PROTOCOL,
-        run=partial(_pillar_field, "Fz >= 0, least norm of differences", PUSHES),
-    ),
-    Entry(
-        name="kamiyama/fig-13",
-        title="Force field before camera calibration",
-        source="Kamiyama, sections 2.5 and 4.3.1, Fig. 13",
-        protocol=_PROTOCOL
-        + " Before camera calibration the transfer leaves the motion along z out.",
-        run=_figure_13,
-    ),
-    Entry(
-        name="kamiyama/fig-14",
-        title="Square pillars of several widths: the profile of the push along x",
-        source="Kamiyama, section 4.3.1, Fig. 14",
-        protocol=f"Pillars {LENGTH_MM:g} mm long in y, of widths from {WIDTHS_MM[0]:g} to "
-        f"{WIDTHS_MM[-1]:g} mm in x, press along z at {PRESSURE_MPA:g} MPa (assumed: the paper "
-        "gives neither widths nor forces); the push of all sites within "
-        f"{BAND_MM:g} mm of y = 0 is added by column.",
-        run=_figure_14,
-    ),
-    Entry(
-        name="kamiyama/fig-15",
-        title="A push and a twist about z",
-        source="Kamiyama, section 4.3.2, Fig. 15",
-        protocol="A pillar of 20 mm radius, as published, and one of 8 mm that fits the view, "
-        "pressed along z and then turned without slip; the force field by the least norm of "
-        "differences.",
-        run=_figure_15,
-    ),
-    Entry(
-        name="kamiyama/fig-16",
-        title="Two impulses along x move the markers much as a force along z",
-        source="Kamiyama, section 5.1, Fig. 16",
-        protocol="Forces of 1 N on discs of 1.5 mm radius: one along z, and two along x, both "
-        "outwards, some distance apart; the cosine of the angle between the two fields of tracked "
-        "shifts.",
-        run=_figure_16,
-    ),
-    Entry(
-        name="kamiyama/fig-17",
-        title="Movement against depth",
-        source="Kamiyama, section 5.1, Fig. 17",
-        protocol=f"A unit force on a disc of {SPOT_MM:g} mm radius, along x and along z, with the "
-        "red layer at other depths; tracked in pictures and given in mm at the markers.",
-        run=_figure_17,
-    ),
-)
+FLAT_FIGURES: dict[str, Callable[[Bench], Entry.Outcome]] = {
+    "kamiyama/fig-6": _figure_6,
+    "kamiyama/fig-9": _figure_9,
+    "kamiyama/fig-10": _figure_10,
+    "kamiyama/fig-11": partial(_pillar_field, "least norm", NORM),
+    "kamiyama/fig-12": partial(_pillar_field, "Fz >= 0, least norm of differences", PUSHES),
+    "kamiyama/fig-13": _figure_13,
+    "kamiyama/fig-14": _figure_14,
+    "kamiyama/fig-15": _figure_15,
+    "kamiyama/fig-16": _figure_16,
+    "kamiyama/fig-17": _figure_17,
+}

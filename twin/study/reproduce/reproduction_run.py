@@ -15,6 +15,7 @@ import hashlib
 import json
 import os
 import time
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -36,57 +37,27 @@ from twin.study.reproduce.shifted import SHIFTED
 
 Table = dict[str, Any]
 
-_FOUND = {entry.name: entry for entry in (*SHIFTED, *FLAT_FIGURES, *FINGER_FIGURES, *DESIGN_LIMITS)}
-_COSTS: dict[str, tuple[int, float | None]] = {
-    "kamiyama/table-1": (16, 1.3),
-    "kamiyama/fig-6": (1, 0.6),
-    "kamiyama/fig-7": (1, 0.6),
-    "kamiyama/fig-8": (1, 0.7),
-    "kamiyama/fig-9": (9, 1.1),
-    "kamiyama/fig-10": (2, 1.0),
-    "kamiyama/fig-11": (1, 1.0),
-    "kamiyama/fig-12": (1, 1.0),
-    "kamiyama/fig-13": (2, 1.1),
-    "kamiyama/fig-14": (7, 1.1),
-    "kamiyama/fig-15": (50, 5.4),
-    "kamiyama/fig-16": (11, 0.8),
-    "kamiyama/fig-17": (7, 0.6),
-    "kamiyama/times": (3, 0.4),
-    "kamiyama/conclusion": (10, None),
-    "sato/table-1": (13, None),
-    "sato/fig-6": (1, None),
-    "sato/calibration": (38, 0.6),
-    "sato/fig-7": (1, None),
-    "sato/fig-8": (105, 0.9),
-    "sato/fig-9": (11, 0.8),
-    "sato/table-2": (1, None),
-    "sato/2mm-prediction": (13, None),
-    "beyond/half-space": (1, None),
-    "beyond/limits": (17, None),
-    "beyond/same-hardware-kamiyama": (34, 0.8),
-    "beyond/same-hardware-sato": (18, None),
-}
-"""Time of each entry in a run of all (s of CPU of one core, as stored with the documentation), and
-the most memory that it takes by itself with an empty cache (GB, None where it was not measured).
-By itself an entry also makes what all share: with an empty cache 7 to 42 s more on the flat sensor,
-and 106 s for the finger's Fig. 8."""
+_MADE = {**SHIFTED, **FLAT_FIGURES, **FINGER_FIGURES, **DESIGN_LIMITS}
+_DECLARED = tomllib.loads(Path(__file__).with_name("entries.toml").read_text(encoding="utf-8"))
 
-_ALL = (360, 8.0)
-
-ENTRIES: dict[str, Entry] = {name: _FOUND[name] for name in _COSTS}
+ENTRIES = {name: Entry(name=name, run=_MADE[name], **facts) for name, facts in _DECLARED.items()}
 """Tables and figures in the order of the papers."""
 
-assert ENTRIES.keys() == _FOUND.keys(), "every entry has its place in the order"
+assert ENTRIES.keys() == _MADE.keys(), "every entry is declared"
+
+_ALL = (360, 8.0)
+"""CPU seconds and GB of all entries. By itself an entry also makes what all share: with an empty
+cache 7 to 42 s more on the flat sensor, and 106 s for the finger's Fig. 8."""
 
 
 def _listing() -> list[str | tuple[str, Table]]:
     """Return a line and a record of each entry: what it shows, and the time and memory it takes."""
     lines: list[str | tuple[str, Table]] = []
     for name, entry in ENTRIES.items():
-        seconds, memory = _COSTS[name]
-        facts = {"name": name, "title": entry.title, "cpu_seconds": seconds, "memory_gb": memory}
-        room = f"{memory:.1f} GB" if memory else ""
-        lines.append((f"{name:29s} {seconds:4d} s  {room:6s}  {entry.title}", facts))
+        shown = ("name", "title", "cpu_seconds", "memory_gb")
+        room = f"{entry.memory_gb:.1f} GB" if entry.memory_gb else ""
+        line = f"{name:29s} {entry.cpu_seconds:4d} s  {room:6s}  {entry.title}"
+        lines.append((line, {key: getattr(entry, key) for key in shown}))
     return [
         *lines,
         f"{'all':29s} {_ALL[0]:4d} s  {_ALL[1]:.1f} GB  on one core",
@@ -238,9 +209,9 @@ def _key(entry: Entry, bench: Bench) -> str:
 
 @cache
 def _source_hash() -> str:
-    """Return the hash of all source files of this package."""
+    """Return the hash of all source files of this package, and of what is declared."""
     root = Path(twin.__file__).parent
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(json.dumps(_DECLARED).encode())
     for file in sorted(root.rglob("*.py")):
         digest.update(
             file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes() + b"\0"
