@@ -16,7 +16,7 @@ from twin.show.html_page import digits, finite
 WORDS: dict[str, dict[str, Any]] = tomllib.loads(
     Path(__file__).with_name("score_words.toml").read_text(encoding="utf-8")
 )
-"""What is said of each number of ``score.json``, by its key."""
+"""Texts about each number of ``score.json``, by its key."""
 
 LIMITS = {key: words["limits"] for key, words in WORDS.items() if "limits" in words}
 """Largest good and largest fair value; of the markers found, the share that is missing."""

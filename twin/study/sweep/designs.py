@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from twin.arrays import Floats
 from twin.errors import InputError, RecipeError, did_you_mean
-from twin.parts.part import Part, Purpose, in_words, unit_of
+from twin.parts.part import Purpose, in_words, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.study.batch.draw import SceneTable
@@ -66,11 +66,10 @@ class Designs:
         columns = dict(zip(sweep.axes, lists, strict=True))
         table = SceneTable.of(scene)
         for key, rule in sweep.derived.items():
-            followed: list[Any] | None = columns.get(rule.follows)
-            if followed is None:
-                followed = next(
-                    (columns[name] for name in columns if _matches(name, rule.follows)), None
-                )
+            names = [rule.follows, *columns]
+            followed = next(
+                (columns[n] for n in names if n in columns and _matches(n, rule.follows)), None
+            )
             if followed is None:
                 followed = [table.look_up(rule.follows)] * len(next(iter(columns.values())))
             try:
@@ -142,9 +141,9 @@ class Designs:
 def _matches(name: str, key: str) -> bool:
     """Return whether an axis's name, perhaps with ``*``, means a scene's key."""
     ours, theirs = name.split("."), key.split(".")
-    if len(ours) != len(theirs):
-        return False
-    return all(a in ("*", b) for a, b in zip(ours, theirs, strict=True))
+    return len(ours) == len(theirs) and all(
+        a in ("*", b) for a, b in zip(ours, theirs, strict=True)
+    )
 
 
 def _spelt_out(name: str, table: SceneTable) -> list[str]:
@@ -289,20 +288,13 @@ def _line(error: dict[str, Any]) -> str:
     dotted = ".".join(keys) or "sweep"
     last = keys[-1] if keys else ""
     if error["type"] == "extra_forbidden":
-        tables: dict[str, type[Part]] = {
-            "axes": Sweep.Range,
-            "loads": Sweep.Loads,
-            "confirm": Sweep.Confirm,
-            "limits": Sweep.Limits,
-            "cost": Sweep.Cost,
-        }
-        known = tables.get(keys[0], Sweep).model_fields
-        every = f"known are {', '.join(known)}"
-        return f"{dotted}: unknown key; {did_you_mean(last, known, every)}"
+        table = Sweep.Range if keys[0] == "axes" else getattr(Sweep, keys[0].capitalize(), Sweep)
+        known = table.model_fields
+        hint = did_you_mean(last, known, f"known are {', '.join(known)}")
+        return f"{dotted}: unknown key; {hint}"
     if error["type"] == "missing":
-        return f"{dotted}: missing; give a value"
-    value = error.get("input")
-    unit = unit_of(last)
+        return f"{dotted}: {in_words(error)}"
+    value, unit = error.get("input"), unit_of(last)
     shown = ""
     if keys and not isinstance(value, dict | Sweep):
         shown = f" = {value!r}{' ' + unit if unit else ''}"

@@ -408,18 +408,14 @@ def _mirrors(scene: Scene) -> tuple[bool, bool]:
 @lru_cache(maxsize=256)
 def _even_or_odd(count: int, sign: int) -> Any:
     """Return the (count, r) orthonormal even or odd functions on a line of points; all if 0."""
+    unit = np.eye(count)
     if sign == 0:
-        return sp.identity(count, format="csc")
+        return sp.csc_matrix(unit)
     half = count // 2
-    low = np.arange(half)
-    value = np.full(half, np.sqrt(0.5))
-    rows = np.concatenate([low, count - 1 - low])
-    values = np.concatenate([value, sign * value])
-    columns = np.concatenate([low, low])
+    basis = np.sqrt(0.5) * (unit + sign * unit[::-1])[:, :half]
     if sign > 0 and count % 2:
-        rows, columns = np.append(rows, half), np.append(columns, half)
-        values = np.append(values, 1.0)
-    return sp.csc_matrix((values, (rows, columns)), shape=(count, half + (sign > 0) * (count % 2)))
+        basis = np.column_stack([basis, unit[half]])
+    return sp.csc_matrix(basis)
 
 
 @lru_cache(maxsize=256)
@@ -440,14 +436,13 @@ def _basis(grid: tuple[int, int], components: int, signs: _Signs) -> Any:
 
 @lru_cache(maxsize=256)
 def _data_basis(layers: tuple[tuple[int, int], ...], signs: _Signs) -> Any:
-    """Return the basis of the shifts of all layers of (columns, rows) markers."""
+    """Return the basis of the shifts of the markers of all layers, (columns, rows) each."""
     return sp.block_diag([_basis(layer, 2, signs) for layer in layers], format="csc")
 
 
 @lru_cache(maxsize=64)
 def _force_basis(grid: tuple[int, int], method: Method, signs: _Signs) -> tuple[Any, Floats]:
-    """Return the basis of the sites' forces, and L^-1 of the penalty in it, whose condition is
-    small."""
+    """Return the basis of the sites' forces, and L^-1 of the penalty in it."""
     basis = _basis(grid, 3, signs)
     folded = basis.T @ (basis.T @ METHODS[method].matrix(grid)).T
     lower = np.linalg.cholesky((folded + folded.T) / 2)
@@ -457,8 +452,8 @@ def _force_basis(grid: tuple[int, int], method: Method, signs: _Signs) -> tuple[
 
 
 def _weight(wanted: Scene.Reconstruction, spectrum: Factors.Spectrum, mean_noise: float) -> float:
-    """Return the whitened weight that the sensor's software would use; ``mean_noise``, px, is for a
-    weight that the scene gives in px^2/N^2."""
+    """Return the whitened weight of the sensor's software; ``mean_noise``, px, is for one that the
+    scene gives in px^2/N^2."""
     if not METHODS[wanted.method].weighted:
         return 0.0
     if isinstance(wanted.weight, str):
@@ -563,10 +558,10 @@ def _reached(grid: Sites, apart_mm: Floats) -> Bools:
 
 @dataclass(frozen=True, kw_only=True)
 class _Seen:
-    """The results of one made sensor's pictures: (exposures, loads, 3) totals and (exposures, k, 3,
-    loads) forces, N; (loads x exposures n, 2) errors of the shifts and the (n,) standard deviations
-    that the tracker states, px; (loads n, 2) variances over the exposures, px^2, none of one
-    exposure; the share of markers found; the first load's picture; CPU seconds."""
+    """One made sensor's pictures: (exposures, loads, 3) totals and (exposures, k, 3, loads) forces,
+    N; (loads x exposures n, 2) errors of the shifts, the (n,) standard deviations that the tracker
+    states, and (loads n, 2) variances over exposures; the share of markers found; the first
+    picture; CPU seconds."""
 
     sites: Rectangles
     totals: Floats

@@ -75,17 +75,9 @@ SHOWN = ("picture", "site_mm", "middle_n", "pair_n")
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of a task.
-
-    Attributes
-    ----------
-    rows
-        One for every design: ``status`` ok, dropped or failed, ``error``, ``seconds``, and metrics.
-    shown
-        Contents of npz files that hold what the report shows, where something is.
-    asked, made
-        How often a compliance was needed, and how many were prepared.
-    """
+    """Rows of a task: ``status`` (ok, dropped or failed), ``error``, ``seconds`` and metrics of
+    every design; contents of npz files with what the report shows; and how often a compliance was
+    needed and prepared."""
 
     rows: list[Row]
     shown: list[bytes | None]
@@ -109,7 +101,7 @@ class _Workshop:
         self._pushes: dict[str, Pushes] = {}
 
     def numbers(self, task: int) -> range:
-        """Return the numbers of a task's designs."""
+        """Return the numbers of the designs of a task."""
         return range(task * self.chunk, min((task + 1) * self.chunk, len(self.designs)))
 
     def row(self, number: int) -> tuple[Row, bytes | None]:
@@ -171,7 +163,6 @@ def _make_rows(folder: Path, task: int) -> _Rows:
 def _job_of(
     sweep: Sweep, scene: Scene, stage: str, designs: Sequence[dict[str, Any]], chunk: int
 ) -> Job:
-    """Return the job that computes a fidelity of designs, ``chunk`` of them a task."""
     table = {
         "sweep": sweep.model_dump(mode="json"),
         "stage": stage,
@@ -198,13 +189,13 @@ def _region(sweep: Sweep, scene: Scene) -> tuple[float, float]:
     return REGION * s, REGION * t
 
 
-class Store:
+class Store(dict[str, Row]):
     """Finished rows of a sweep's folder by key; one process writes."""
 
     def __init__(self, folder: Path) -> None:
+        super().__init__()
         self._path = folder / "rows.jsonl"
         self._shown = folder / "shown"
-        self._rows: dict[str, Row] = {}
         whole = 0
         data = self._path.read_bytes() if self._path.is_file() else b""
         for line in data.splitlines(keepends=True):
@@ -215,17 +206,11 @@ class Store:
                     break
             except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
                 break
-            self._rows[key] = row
+            self[key] = row
             whole += len(line)
         if whole < len(data):
             with open(self._path, "r+b") as file:
                 file.truncate(whole)
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._rows
-
-    def __getitem__(self, key: str) -> Row:
-        return self._rows[key]
 
     def add(self, rows: Mapping[str, Row], shown: Mapping[str, bytes]) -> None:
         """Keep finished rows, and what belongs to them."""
@@ -237,12 +222,12 @@ class Store:
                 file.write(json.dumps({"key": key, "row": row}).encode() + b"\n")
             file.flush()
             os.fsync(file.fileno())
-        self._rows |= rows
+        self |= rows
 
     def lose(self, keys: Sequence[str], problem: str) -> None:
         """Fail rows for this run; they are not written, so the next run tries again."""
         row: Row = {"status": "failed", "error": problem, "seconds": float("nan")}
-        self._rows |= dict.fromkeys(keys, row)
+        self |= dict.fromkeys(keys, row)
 
     def pictures(self, key: str) -> Shown | None:
         """Return a design's picture and fields; None where they are missing or damaged."""
@@ -256,24 +241,24 @@ class Store:
         return self._shown / f"{key}.npz"
 
 
+@dataclass
 class _Runner:
-    """Runs designs of one sweep (`twin.study.batch.pool.Pool`), and keeps their rows."""
+    """Runs designs of one sweep (`twin.study.batch.pool.Pool`), and keeps their rows; counts how
+    often a compliance was needed and prepared, and fresh rows."""
 
-    def __init__(
-        self,
-        sweep: Sweep,
-        scene: Scene,
-        folder: Path,
-        *,
-        workers: int = 1,
-        scheduler: Pool.Scheduler | None = None,
-        progress: Progress | None = None,
-    ) -> None:
-        self.sweep, self.scene = sweep, scene
-        self.store = Store(folder)
-        self._workers, self._scheduler, self._progress = workers, scheduler, progress
-        self._identity = _identity(sweep, scene)
-        self.asked, self.made, self.fresh = 0, 0, 0
+    sweep: Sweep
+    scene: Scene
+    folder: Path
+    workers: int = 1
+    scheduler: Pool.Scheduler | None = None
+    progress: Progress | None = None
+    asked: int = 0
+    made: int = 0
+    fresh: int = 0
+
+    def __post_init__(self) -> None:
+        self.store = Store(self.folder)
+        self._identity = _identity(self.sweep, self.scene)
 
     def rows(self, stage: str, values: Sequence[dict[str, Any]]) -> list[Row]:
         """Return the rows of designs, computing those that are not there."""
@@ -281,18 +266,18 @@ class _Runner:
         missing = {k: v for k, v in zip(keys, values, strict=True) if not self._is_whole(stage, k)}
         if missing:
             names = list(missing)
-            chunk = max(1, min(CHUNK[stage], -(-len(names) // self._workers)))
+            chunk = max(1, min(CHUNK[stage], -(-len(names) // self.workers)))
             tasks = range(-(-len(names) // chunk))
             job = _job_of(self.sweep, self.scene, stage, list(missing.values()), chunk)
             started = time.perf_counter()
-            with Pool(min(self._workers, len(tasks)), self._scheduler) as pool:
+            with Pool(min(self.workers, len(tasks)), self.scheduler) as pool:
                 for done in pool.run(job, tasks):
                     self._keep(done, names[done.number * chunk : (done.number + 1) * chunk])
-                    if self._progress is not None:
+                    if self.progress is not None:
                         ready = sum(key in self.store for key in names)
                         rate = ready / max(time.perf_counter() - started, 1e-9)
                         words = f"{stage}: {ready}/{len(names)} designs, {rate:.3g}/s"
-                        self._progress(words, min(0.98, ready / len(names)))
+                        self.progress(words, min(0.98, ready / len(names)))
         return [self.store[key] for key in keys]
 
     def _keep(self, done: Job.Done, keys: Sequence[str]) -> None:
@@ -315,7 +300,7 @@ class _Runner:
         return no_picture or self.store.pictures(key) is not None
 
     def key(self, stage: str, values: dict[str, Any]) -> str:
-        """Return the key of a design's row."""
+        """Return the key of a row."""
         facts = json.dumps([self._identity, stage, values], sort_keys=True)
         return hashlib.sha256(facts.encode()).hexdigest()[:32]
 
@@ -374,8 +359,6 @@ class Swept:
 
     Attributes
     ----------
-    designs
-        All of them.
     columns
         (m,) numbers by ``<fidelity>_<metric>``; NaN where a design was not taken so far.
     status, error, fidelity
@@ -386,10 +369,8 @@ class Swept:
         The designs that are ok, the best first, those of the last fidelity before all others.
     keys
         Keys of the rows of the full chain by design.
-    notes
-        What was reused and how well fidelities agree, in words.
-    warnings
-        What makes figures other than they seem, and what to do.
+    notes, warnings
+        What was reused and how well fidelities agree; what makes figures other than they seem.
     """
 
     designs: Designs
@@ -409,8 +390,8 @@ class Swept:
         return int((self.status == "failed").sum())
 
     def metric(self, name: str, upto: str = "full") -> Floats | None:
-        """Return a metric at the best fidelity, ``upto`` at most, that each design has it at; None
-        if none has."""
+        """Return a metric at the best fidelity, ``upto`` at most, of each design; None if there is
+        none."""
         return _metric(self.columns, name, upto)
 
     @staticmethod
@@ -420,15 +401,10 @@ class Swept:
         from scipy.stats import spearmanr
 
         both = np.isfinite(one) & np.isfinite(other)
-        count = int(both.sum())
-        if count == 0:
-            return float("nan"), float("nan"), 0
-        divided = np.full(count, np.nan)
-        np.divide(other[both], one[both], out=divided, where=one[both] != 0)
-        ratio = float(np.median(divided)) if np.isfinite(divided).all() else float("nan")
-        if count < 3 or np.ptp(one[both]) == 0 or np.ptp(other[both]) == 0:
-            return float("nan"), ratio, count
-        return float(spearmanr(one[both], other[both]).statistic), ratio, count
+        a, b = one[both], other[both]
+        ratio = float(np.median(b / a)) if len(a) and a.all() else float("nan")
+        ranked = len(a) > 2 and np.ptp(a) > 0 and np.ptp(b) > 0
+        return float(spearmanr(a, b).statistic) if ranked else float("nan"), ratio, len(a)
 
     @staticmethod
     def front(columns: Sequence[Floats]) -> Bools:
@@ -456,13 +432,7 @@ class Swept:
 
 
 def _check(sweep: Sweep, scene: Scene) -> None:
-    """Refuse a sweep that can't be run.
-
-    Raises
-    ------
-    RecipeError
-        With all problems at once.
-    """
+    """Raise a `RecipeError` with all reasons why a sweep can't be run."""
     problems = []
     solved = sweep.ladder != ("closed",)
     where = f"scene = '{sweep.scene}'"
@@ -550,7 +520,7 @@ def run_sweep(
 
 
 def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
-    """Take designs through the sweep's fidelities."""
+    """Take all designs through the fidelities."""
     sweep = designs.sweep
     count = len(designs)
     columns, reason = closed(designs)
@@ -603,7 +573,7 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
 def _put(
     columns: dict[str, Floats], stage: str, chosen: Ints, rows: Sequence[Row], count: int
 ) -> None:
-    """Put the numbers of the rows of chosen designs into the columns."""
+    """Put the numbers of rows into the columns of chosen designs."""
     for number, row in zip(chosen, rows, strict=True):
         for name, value in row.items():
             if name not in ("status", "error"):
@@ -611,8 +581,8 @@ def _put(
 
 
 def _coarse(done: Swept) -> tuple[Bools, list[str], list[str]]:
-    """Return which designs' widths are those of their sites; a warning of them where less is
-    resolved than is wanted, else a note."""
+    """Return which widths are only those of the sites; a warning where less is resolved than is
+    wanted, else a note."""
     none = np.full(len(done.designs), np.nan)
     found = done.columns.get("linear_two_point_mm", none)
     sites = done.columns.get("linear_sites_mm", none)
@@ -669,11 +639,7 @@ def _notes(done: Swept, runner: _Runner, coarse: Bools) -> list[str]:
 
 
 def _metric(columns: Mapping[str, Floats], name: str, upto: str = "full") -> Floats | None:
-    """Return a metric at the best fidelity, ``upto`` at most, that each design has it at; None if
-    none has.
-
-    ``columns`` are (m,) numbers by ``<fidelity>_<metric>``.
-    """
+    """See `Swept.metric`."""
     found: Floats | None = None
     for fidelity in FIDELITIES:
         column = columns.get(f"{fidelity}_{name}")
@@ -691,7 +657,7 @@ def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
     What is better than its target counts a tenth only, so that meeting all targets comes first.
     Infinite where a metric is, or is missing.
     """
-    total: Floats | None = None
+    parts = [np.full(len(next(iter(columns.values()), ())), np.inf)]
     for name, target in sweep.targets.items():
         values = _metric(columns, name)
         if values is None:
@@ -699,10 +665,8 @@ def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
         with np.errstate(divide="ignore", invalid="ignore"):
             off = np.log(np.maximum(values, 1e-300) / target)
         part = sweep.weights.get(name, 1.0) * np.where(off > 0, off, BEYOND * off)
-        part = np.where(np.isnan(part), np.inf, part)
-        total = part if total is None else total + part
-    count = len(next(iter(columns.values()))) if columns else 0
-    return total if total is not None else np.full(count, np.inf)
+        parts.append(np.where(np.isnan(part), np.inf, part))
+    return np.asarray(sum(parts[1:], start=0.0 * parts[1]) if len(parts) > 1 else parts[0])
 
 
 def _optimised(designs: Designs, runner: _Runner) -> Designs:
@@ -774,12 +738,8 @@ def _scored(sweep: Sweep, designs: Designs, stage: str, runner: _Runner) -> Floa
 def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[str]:
     """Return lines on what a sweep would do and how long it takes, from a few designs.
 
-    The estimate rests on CPU seconds: clock time would depend on other work on the machine.
-
-    Raises
-    ------
-    RecipeError
-        The sweep can't be run.
+    The estimate rests on CPU seconds: clock time would depend on other work on the machine. A sweep
+    that can't be run raises a `RecipeError`.
     """
     lines, good, designs = _overview(sweep, scene)
     left = len(good)
@@ -803,10 +763,7 @@ def _measured(
     sweep: Sweep, scene: Scene, stage: str, good: Ints, designs: Designs
 ) -> tuple[float, float, list[Row], str]:
     """Return the CPU seconds of a design and of what comes before the first; the rows tried; how
-    they were tried.
-
-    What has been measured once on this machine is read from the cache.
-    """
+    they were tried. What has been measured once on this machine is read from the cache."""
     full = stage == "full"
     tried = good[:: max(1, len(good) // TRIED)][: 1 if full else TRIED]
     values = [designs.values(int(n)) for n in (tried[0], *tried)]  # the first twice: it begins
