@@ -80,11 +80,9 @@ def tracking_score(
 
     Parameters
     ----------
-    shift_px
-        (n, 2) measured shifts, px, NaN where not found.
-    true_shift_px
-        (n, 2) true shifts of the same thing, px: of the visible outline's centroid where there is
-        one.
+    shift_px, true_shift_px
+        (n, 2) measured shifts, px, NaN where not found; true ones, of the visible outline's
+        centroid where there is one.
     visible
         (n,) whether the marker is fully visible in both pictures; all are if not given.
     bound_px
@@ -95,10 +93,10 @@ def tracking_score(
     dict
         Over the visible markers: ``bias_px`` (length of the mean error), ``bias_axes_px``,
         ``sd_px`` (of the two-frame shift, per axis, about the mean), ``sd_axes_px``, ``matched``
-        (share found), ``gross`` (number of errors above 1 px; these are left out of bias and sd),
+        (share found), ``gross`` (number of errors above 1 px; left out of bias and sd),
         ``markers``. The same for the others under ``occluded``. Over all: ``false_positives``
-        (markers that were given a shift though nothing of them is in a picture); ``bound_px`` (root
-        mean square over the visible markers) and ``over_bound`` (sd over it). ``reasons``.
+        (markers given a shift though nothing of them is in a picture); ``bound_px`` (root mean
+        square over the visible markers) and ``over_bound`` (sd over it). ``reasons``.
     """
     shift, true = np.asarray(shift_px, float), np.asarray(true_shift_px, float)
     if shift.shape != true.shape or shift.ndim != 2 or shift.shape[1] != 2:
@@ -207,11 +205,8 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
 
     Parameters
     ----------
-    field
-        Estimate: (k, 3) sites, mm, their forces, N, and its (3,) totals, N and N mm, with the
-        standard deviations that it states of them.
-    patches
-        Truth: (m, 3) surface points, mm, their forces, N, and the (3,) totals.
+    field, patches
+        Estimate with the standard deviations that it states; truth.
     frames
         (k, 3, 3) the sites' frames, the inward normal last; z is the normal if not given.
 
@@ -226,8 +221,8 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
         max(|T|, |F| 1 mm) and ``torque_error_nmm`` |T^ - T|; ``centre_error_mm``, the distance in
         (x, y) of the push's centres, sum fz (x, y)/sum fz (of the estimate only the sites above a
         fifth of the largest push). ``field_stated``, ``total_force_stated`` and
-        ``torque_stated_nmm``: what the estimate states of the errors of these names, the root of
-        the sum of its variances, of the first two over |f| and |F|. ``reasons``.
+        ``torque_stated_nmm``: what the estimate states of these errors, the root of the sum of its
+        variances, of the first two over |f| and |F|. ``reasons``.
     """
     result: Score = dict.fromkeys(
         (

@@ -146,9 +146,8 @@ class BondedLayer:
         of each (c, k).
 
         v is analytic within one thickness of every force at least, so that n Gauss points on the
-        half side a are exact to about (H/a + sqrt(1 + (H/a)^2))^(-2 n). Where there are more of
-        them than nodes of a grid with `_NODES` per thickness, v is interpolated on that grid in the
-        place of the force.
+        half side a are exact to about (H/a + sqrt(1 + (H/a)^2))^(-2 n). Where they are more than
+        the nodes of a grid with `_NODES` per thickness, v is interpolated on that grid.
         """
         # Gauss points on every rectangle, more of them on wide ones.
         number = 1
@@ -266,11 +265,9 @@ def _grid_of(nu: float) -> Floats:
 
 
 def _waves(k: Floats, z: float, nu: float) -> tuple[tuple[Floats, ...], tuple[Floats, ...], Floats]:
-    """Return what waves of unit traction add at depth ``z`` for G = H = 1, each (q,).
-
-    U, W and the tension lambda div v under the pressure cos(k x), the same under the traction sin(k
-    x) along x, and V under the traction cos(k x) along y.
-    """
+    """Return what waves of unit traction add at depth ``z`` for G = H = 1, each (q,): U, W and
+    lambda div v under the pressure cos(k x), the same under the traction sin(k x) along x, and V
+    under the traction cos(k x) along y."""
     fade = np.exp(-k)
     none = 0.0 * k
     at_face = BondedLayer.wave_tractions(none, nu, 1.0)

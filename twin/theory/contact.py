@@ -28,20 +28,8 @@ from twin.parts.material import plane_strain_modulus
 
 @dataclass(frozen=True, kw_only=True)
 class _HertzContact:
-    """A rigid sphere pressed without friction on a half-space.
-
-    Attributes
-    ----------
-    radius_mm
-        Radius of the sphere.
-    contact_radius_mm
-        Radius a of the contact.
-    indentation_mm
-        Approach of the sphere from first touch.
-    force_n
-        Normal force.
-    peak_pressure_mpa
-        Pressure in the middle, 3/2 of the mean.
+    """A rigid sphere of ``radius_mm`` pressed without friction on a half-space: radius a of the
+    contact, approach from first touch, normal force, and pressure in the middle, 3/2 of the mean.
     """
 
     radius_mm: float
@@ -65,21 +53,8 @@ def hertz(
     force_n: float | None = None,
     indentation_mm: float | None = None,
 ) -> _HertzContact:
-    """Return Hertz's contact of a rigid sphere for a given force or a given indentation.
-
-    Parameters
-    ----------
-    radius_mm
-        Radius R of the sphere.
-    youngs_modulus_mpa, poisson_ratio
-        Of the half-space.
-    force_n, indentation_mm
-        Exactly one of them, greater than 0.
-
-    Raises
-    ------
-    InputError
-        Neither or both of force and indentation are given, or not greater than 0.
+    """Return Hertz's contact of a rigid sphere of radius R for a force or an indentation, exactly
+    one of them and greater than 0, else an `InputError`.
 
     Notes
     -----
@@ -122,11 +97,8 @@ def cone_contact_radius(
     force_n: float, apex_deg: float, youngs_modulus_mpa: float, poisson_ratio: float
 ) -> float:
     """Return the contact radius a, mm, of a frictionless cone of full apex angle 2 alpha under F =
-    (pi / 2) E* a^2 cot(alpha).
+    (pi / 2) E* a^2 cot(alpha) (Johnson 1985, section 5.2).
 
-    Notes
-    -----
-    Johnson 1985, section 5.2, after Love and Sneddon.
     Validity: blunt cones, as the linear theory takes the slope cot(alpha) for small.
     """
     slope = 1.0 / math.tan(math.radians(apex_deg / 2))
@@ -172,10 +144,7 @@ KNOWN_RADIUS = 0.72
 
 def largest_strain_and_turn(gradient: Floats) -> tuple[float, float]:
     """Return the largest principal strain (absolute) and the largest turn (degrees) in displacement
-    gradients (n, 3, 3), du_i/dx_j.
-
-    The parts of linear theory: strain is the symmetric one, the turn the length of the skew one's
-    axial vector.
+    gradients (n, 3, 3), du_i/dx_j: by linear theory, of the symmetric and of the skew part.
     """
     gradient = np.asarray(gradient, float)
     if not len(gradient):

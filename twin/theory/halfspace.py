@@ -103,14 +103,8 @@ def gradient(
 
 
 def stress(points: Points, load: Rectangles, poisson_ratio: float) -> Floats:
-    """Return the (n, 3, 3) stress in MPa at ``points``; E does not enter, and nu = 1/2 is no
-    exception.
-
-    Notes
-    -----
-    sigma = G (grad u + grad u^T) + lambda div u, where lambda div u = -(nu / pi) integral of f . x
-    / r^3 stays finite.
-    """
+    """Return the (n, 3, 3) stress in MPa at ``points``: sigma = G (grad u + grad u^T) + lambda div
+    u, which stays finite at nu = 1/2 and is independent of E."""
     slope, pull = _slopes(points, load, poisson_ratio)
     out = 0.25 / math.pi * (slope + slope.transpose(0, 2, 1))
     out[:, range(3), range(3)] -= poisson_ratio / math.pi * pull[:, None]
@@ -351,12 +345,7 @@ def _point_terms(
     x: float, y: float, z: float, a: float, b: float, k: float, nodes: Floats, u: Floats, n: Floats
 ) -> None:
     """Set u (3, 3), indexed [displacement, force], and n_j = x_j / r^3 (3,) to the weighted sums
-    over point forces.
-
-    ``nodes`` are (q, 3) places, as shares of a and b, and weights. ``k`` is 1 - 2 nu. -nu/pi n . f
-    is lambda div u, which stays finite at nu = 1/2. The sums may be taken in any order, so that
-    several points are done at once.
-    """
+    over point forces at ``nodes``, (q, 3) shares of a and b, and weights."""
     one = 0.0
     xx = 0.0
     yy = 0.0

@@ -54,30 +54,21 @@ def mean_on_sphere(
 
 
 def stresslet(strain: Floats, radius_mm: float | Floats, shear_modulus_mpa: float) -> Floats:
-    """Return the (n, 3, 3) force dipole, N mm, by which rigid beads push back on rubber of strain
-    (n, 3, 3).
+    """Return the (n, 3, 3) force dipole, N mm, by which rigid beads of one radius or (n,) push back
+    on rubber of strain (n, 3, 3): -(20/3) pi G a^3 e at nu = 1/2, force along j at an arm along k.
 
-    Force along j at an arm along k; the beads have one radius or (n,). -(20/3) pi G a^3 e at
-    Poisson's ratio 1/2; its sum over a share of volume phi is the stress of a material 1 + 5/2 phi
-    times as stiff (Einstein, Smallwood).
+    Its sum over a share of volume phi is the stress of a material 1 + 5/2 phi times as stiff
+    (Einstein, Smallwood).
     """
     volumes = np.reshape(np.asarray(radius_mm, float) ** 3, (-1, 1, 1))
     return np.asarray(-20.0 / 3.0 * math.pi * shear_modulus_mpa * volumes * strain)
 
 
 def point_force(points: Any, sources: Any, shear_modulus_mpa: float, direct: Any = True) -> Any:
-    """Return (..., 3, 3) u_i at ``points`` under a unit force along j at ``sources``, mm/N: Mindlin
-    at nu = 1/2.
-
-    Parameters
-    ----------
-    points, sources
-        (..., 3) mm, z >= 0; complex numbers are taken, so that derivatives may be found by an
-        imaginary step.
-    direct
-        (...) whether the part of an endless body is wanted; without it only the free surface's
-        reflection is left.
-    """
+    """Return (..., 3, 3) u_i at ``points`` under a unit force along j at ``sources``, (..., 3) mm
+    with z >= 0, mm/N: Mindlin at nu = 1/2. Without ``direct`` (...) only the free surface's
+    reflection is left. Complex places are taken, so that derivatives may be found by an imaginary
+    step."""
     away = points - sources
     x, y, less = away[..., 0], away[..., 1], away[..., 2]
     deep, high = sources[..., 2], points[..., 2]
@@ -128,12 +119,9 @@ def dipole_displacement(
 
 
 def shift_per_strain(points: Points, centres: Points, own: np.ndarray) -> NDArray[np.float32]:
-    """Return (3 n, 6 m) by how many mm ``points`` move per unit strain at beads of radius 1 mm at
-    ``centres`` (m, 3).
-
-    The strain's components are xx, yy, zz, yz, xz, xy; the rubber's modulus cancels. Single
-    precision: seven digits of what is itself a correction. ``own`` as in `dipole_displacement`.
-    """
+    """Return (3 n, 6 m) by how many mm ``points`` move per unit strain, xx, yy, zz, yz, xz, xy, at
+    beads of radius 1 mm at ``centres`` (m, 3); the modulus cancels. ``own`` as in
+    `dipole_displacement`."""
     out = np.zeros((len(points), 3, len(centres), 6), np.float32)
     size = float(stresslet(np.ones((1, 1, 1)), 1.0, 1.0)[0, 0, 0])
     for some, k, slope in _slopes(points, centres, 1.0, own):

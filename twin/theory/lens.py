@@ -30,13 +30,11 @@ class Radial:
 
     Attributes
     ----------
-    radius
+    radius, slopes
         From how far directions go across and ahead, (n,) each, to the radius in the picture over
-        the focal length.
-    slopes
-        Its derivatives with respect to both.
+        the focal length; the derivatives with respect to both.
     angle
-        Its inverse: from the radius to the angle, radians; NaN where there is none.
+        From the radius to the angle, radians; NaN where there is none.
     """
 
     radius: Callable[[Floats, Floats], Floats]

@@ -98,13 +98,10 @@ class Limit:
         depth_mm, pitch_mm, noise_mm
             (m, layers) depth of each layer, pitch of its markers along the surface, and standard
             deviation of a component of their motion, mm.
-        youngs_modulus_mpa, poisson_ratio
-            (m,) of the rubber.
-        force_n, radius_mm
-            (m,) size of the loads that are expected: the prior.
+        youngs_modulus_mpa, poisson_ratio, force_n, radius_mm
+            (m,) of the rubber, and of the loads that are expected: the prior.
         sampling
-            How the markers' pitch counts: as a floor (a bound), or by the sum of squares (what to
-            expect).
+            How the pitch counts: as a floor (a bound), or by the sum of squares (what to expect).
 
         Raises
         ------
@@ -138,15 +135,7 @@ class Limit:
         k: Floats, depth_mm: Floats, shear_modulus_mpa: Floats, poisson_ratio: Floats
     ) -> tuple[Floats, Floats]:
         """Return motion of a layer along k per traction along k, and per normal traction a quarter
-        of a wave ahead, mm/MPa.
-
-        Parameters
-        ----------
-        k
-            Wave numbers, 1/mm; all arguments broadcast.
-        depth_mm, shear_modulus_mpa, poisson_ratio
-            Of the layer and of the rubber.
-        """
+        of a wave ahead, mm/MPa; ``k`` are wave numbers, 1/mm, and all arguments broadcast."""
         falls = np.exp(-k * depth_mm) / (2 * shear_modulus_mpa * k)
         return (2 * (1 - poisson_ratio) - k * depth_mm) * falls, (
             k * depth_mm - (1 - 2 * poisson_ratio)

@@ -79,28 +79,16 @@ def _sideways(
 
 
 def project(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> Pixels:
-    """Return where the camera sees points of the body.
+    """Return the (n, 2) column and row, px, at which a camera sees points of the body, also outside
+    the picture; NaN behind the base, outside the lens's range, or without a ray to the pupil.
 
     Parameters
     ----------
     points
         (n, 3) points in the body, mm.
-    camera
-        The camera, nominal or actual.
-    body_index
-        Refractive index of the body.
-    base_z_mm
-        Height of the plane where the body ends and the layers begin, mm.
-
-    Returns
-    -------
-    (n, 2) column and row, px, also outside the picture; NaN for points behind the base, outside the
-    lens's range or without a ray to the pupil.
-
-    Raises
-    ------
-    RecipeError
-        The pupil lies in front of the layers.
+    camera, body_index, base_z_mm
+        The camera, nominal or actual; the body's refractive index; the height of the plane where
+        the body ends and the layers begin, mm. A pupil in front of the layers is a `RecipeError`.
     """
     towards, _, _ = _leave(points, camera, body_index, base_z_mm)
     return lens(towards @ camera.tilt_matrix(), camera)
@@ -109,13 +97,8 @@ def project(points: Points, camera: Camera, body_index: float, base_z_mm: float)
 def project_with_jacobian(
     points: Points, camera: Camera, body_index: float, base_z_mm: float
 ) -> tuple[Pixels, Floats]:
-    """Return `project`, and its (n, 2, 3) derivatives with respect to the points, px/mm; NaN where
-    `project` is NaN.
-
-    Notes
-    -----
-    Analytic: the implicit derivative of Snell's sum, then the chain rule through tilt and lens.
-    """
+    """Return `project`, and its (n, 2, 3) derivatives with respect to the points, px/mm: the
+    implicit derivative of Snell's sum, then the chain rule through tilt and lens."""
     towards, p, aside = _leave(points, camera, body_index, base_z_mm)
     slope = _leaving_slopes(points, p, aside, camera, body_index, base_z_mm)
     turn = camera.tilt_matrix()
@@ -128,23 +111,13 @@ def project_with_jacobian(
 def rays(
     pixels: Pixels, camera: Camera, body_index: float, base_z_mm: float
 ) -> tuple[Points, Points]:
-    """Return the rays inside the body that end in the given places of the picture: the exact
+    """Return the rays inside the body that end at (n, 2) ``pixels``, column and row: the exact
     inverse of `project`.
-
-    Parameters
-    ----------
-    pixels
-        (n, 2) column and row, px.
-    camera, body_index, base_z_mm
-        As for `project`.
 
     Returns
     -------
-    origins
-        (n, 3) points on the base plane, mm.
-    directions
-        (n, 3) unit vectors from there into the body (z < 0). Both are NaN where no ray reaches the
-        pixel: outside the lens, or away from the layers.
+    (n, 3) origins on the base plane, mm, and (n, 3) unit vectors from there into the body (z < 0);
+    both NaN where no ray reaches the pixel: outside the lens, or away from the layers.
     """
     into = lens_inverse(pixels, camera) @ camera.tilt_matrix().T
     down = np.where(into[:, 2] < -1e-12, -into[:, 2], np.nan)
@@ -172,24 +145,11 @@ def sideways(
     layers: tuple[Camera.Layer, ...],
     air_mm: Floats | float,
 ) -> tuple[Floats, Floats]:
-    """Return how far rays move sideways between a depth in the body and the pupil, and the
-    derivative.
+    """Return how far rays move sideways between a depth in the body and the pupil, (n,) mm, and the
+    derivative with respect to ``p``, (n,) mm.
 
-    Parameters
-    ----------
-    p
-        (n,) tangents of the rays' angles to z in air.
-    depth_mm
-        (n,) distances from the base plane into the body, mm.
-    body_index, layers, air_mm
-        The stack; the way in air may be another one for every ray.
-
-    Returns
-    -------
-    reach
-        (n,) sideways distance, mm.
-    slope
-        (n,) d(reach)/dp, mm.
+    ``p`` are (n,) tangents of the rays' angles to z in air, ``depth_mm`` (n,) distances from the
+    base plane into the body; the way in air may be another one for every ray.
     """
     reach = air_mm * p
     slope = np.full(np.shape(p), air_mm, float)
@@ -209,11 +169,7 @@ def air_tangents(
     air_mm: Floats | float,
 ) -> Floats:
     """Return (n,) tangents in air of the rays that move ``reach_mm`` sideways: the inverse of
-    `sideways`.
-
-    NaN where there is no such ray: negative depth, or too far aside when the pupil touches the
-    layers.
-    """
+    `sideways`. NaN for negative depth, or too far aside when the pupil touches the layers."""
     reach = np.array(reach_mm, float)
     depth, air = (
         np.array(np.broadcast_to(np.asarray(each, float), reach.shape))
@@ -226,19 +182,9 @@ def air_tangents(
 
 
 def transmission(p: Floats, body_index: float, layers: tuple[Camera.Layer, ...]) -> Floats:
-    """Return (n,) shares of unpolarised light that pass all interfaces between air and body, 1 =
-    straight through.
-
-    Parameters
-    ----------
-    p
-        (n,) tangents of the rays' angles to z in air.
-
-    Notes
-    -----
-    `reflection` at each interface in turn, relative to normal incidence, which the exposure takes
-    up; without reflections to and fro.
-    """
+    """Return (n,) shares of unpolarised light that pass all interfaces between air and body:
+    `reflection` at each in turn, relative to normal incidence, which the exposure takes up; without
+    reflections to and fro. ``p`` are (n,) tangents of the rays' angles to z in air."""
     indices = [body_index, *(layer.index for layer in layers), 1.0]
     share = np.ones_like(p)
     for one, two in pairwise(indices):
@@ -248,17 +194,10 @@ def transmission(p: Floats, body_index: float, layers: tuple[Camera.Layer, ...])
 
 def reflection(p: Any, one: Any, two: Any) -> Any:
     """Return the shares of unpolarised light that an interface of refractive indices ``one`` and
-    ``two`` sends back.
+    ``two`` sends back: Fresnel's formulas (Born & Wolf sec. 1.5.2), the mean of both polarisations.
 
-    Parameters
-    ----------
-    p
-        Tangents of the rays' angles to the interface's normal in air, wherever it lies, or in any
-        medium to whose index ``one`` and ``two`` are relative; all numbers or arrays.
-
-    Notes
-    -----
-    Fresnel's formulas (Born & Wolf sec. 1.5.2), the mean of both polarisations.
+    ``p`` are tangents of the rays' angles to the interface's normal in air, wherever it lies, or in
+    any medium to whose index ``one`` and ``two`` are relative; all numbers or arrays.
     """
     sine2 = p**2 / (1 + p**2)
     # n cos(angle) on both sides; n^2 cos^2 = n^2 - sin^2(angle in air).
@@ -311,14 +250,10 @@ def centre_bound(diameter_px: Floats, contrast: float, psf_px: float, noise: flo
 
     Parameters
     ----------
-    diameter_px
-        Of the discs.
-    contrast
-        Its brightness over the ground's, in any unit.
-    psf_px
-        Standard deviation of the blur.
-    noise
-        Standard deviation of a pixel at the disc's rim, in the contrast's unit.
+    diameter_px, psf_px
+        Of the discs; standard deviation of the blur.
+    contrast, noise
+        Brightness over the ground's, and standard deviation of a pixel at the rim, in one unit.
 
     Notes
     -----

@@ -311,15 +311,8 @@ def _image_scale(scene: Scene, points: Floats) -> Floats:
 
 
 class Bench:
-    """All rigs of a reproduction.
-
-    Parameters
-    ----------
-    seed
-        Root seed; a paper's made sensors have this and the following ones.
-    quick
-        One made sensor a paper, and less of everything.
-    """
+    """All rigs of a reproduction. A paper's made sensors have ``seed`` and the following ones;
+    ``quick`` is one made sensor a paper, and less of everything."""
 
     def __init__(
         self, *, seed: int = 1, quick: bool = False, progress: Progress | None = None
@@ -401,17 +394,16 @@ class Bench:
         ranges: Mapping[Unprinted, Callable[[float], Chain | Measure[T]]] | None = None,
         label: str = "",
     ) -> tuple[list[Record], list[T], dict[str, T]]:
-        """Measure a chain in several trials, and once with every cause switched off.
+        """Measure a chain in several trials (by default the paper's), and once with every cause
+        off.
 
         Parameters
         ----------
         measure, numbers
             Make a run, and take the numbers from it.
         causes
-            What replaces the chain, the measurement or the reading of the runs, by the name of the
-            cause that it switches off.
-        trials
-            By default the paper's.
+            What replaces the chain, the measurement or the reading of the runs, by the cause that
+            it switches off.
         ranges
             What replaces chain or measurement at a value of what isn't printed, over `RANGED`
             trials.
@@ -558,11 +550,10 @@ class Chain:
     paper, overrides
         The sensor: a paper's scene with other values.
     tracker, method, options
-        How pictures are tracked and the inverse is solved; without a tracker by the scene's. The
-        weight is automatic, as the papers give none.
+        Of tracking, by default the scene's, and of the inverse, whose weight is automatic.
     calibrated_by
-        Calibration by another method than the scene's, where ``no camera`` leaves the motion along
-        z out; or made by presses on a variant of the sensor, given by its overrides.
+        Another method than the scene's, where ``no camera`` leaves the motion along z out; or
+        overrides of the sensor that presses are made on.
     half_space
         Whether a half-space is filmed in the block's place.
     """
@@ -652,19 +643,8 @@ def sphere_press(place_mm: tuple[float, float], gram_force: float) -> Press:
 
 @dataclass(frozen=True, kw_only=True)
 class Protocol:
-    """One paper's test.
-
-    Attributes
-    ----------
-    sensor
-        The paper.
-    shift_px
-        Displacement along x, px.
-    exposure
-        Which exposure is displaced digitally: 0 is the rest picture itself.
-    paper
-        (average, standard deviation) by layer and axis, px.
-    """
+    """One paper's test: displacement along x, px; which exposure is displaced digitally, 0 being
+    the rest picture itself; (average, standard deviation) by layer and axis, px."""
 
     sensor: str
     shift_px: int
@@ -756,12 +736,9 @@ class ForceLine:
         first: int = FIRST_EXPOSURE,
         aside_mm: float = 0.0,
     ) -> ForceLine:
-        """Take the 10 mm cylinder's path through pictures and the inverse, ``repeats`` times.
-
-        Each has noise of its own: 200 gf down and then sideways, or down in steps; it sticks.
-
-        The first repeat is at the apex, the others ``aside_mm`` from it, each to another side.
-        """
+        """Take the 10 mm cylinder's path through pictures and the inverse, ``repeats`` times, each
+        with noise of its own: 200 gf down and then sideways, or down in steps; it sticks. The first
+        repeat is at the apex, the others ``aside_mm`` from it, each to another side."""
         levels = [PRELOAD_GF * (k + 1) / steps * GF for k in range(steps)]
         down = PRELOAD_GF * GF
         if axis == 2:

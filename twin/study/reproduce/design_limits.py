@@ -7,9 +7,11 @@ Times are CPU times of one thread for one frame that has arrived; capture is not
 from __future__ import annotations
 
 import time
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -131,10 +133,8 @@ def _along_x(found: Field, *, magnitude: bool = False) -> tuple[Floats, Floats]:
 
 def _point_width_mm(bench: Bench, chain: Chain, trial: Trial = ONCE) -> float:
     """Return the full width at half maximum of the estimate of a narrow force, mm: of the
-    magnitude, as Sato has it.
-
-    Of the push alone it would flatter an inverse that swings from site to site.
-    """
+    magnitude, as Sato has it. That of the push alone would flatter an inverse that swings from site
+    to site."""
     found = chain.narrow(bench, (0.0,), FORCE_N, 60, trial)
     return full_width(*_along_x(found, magnitude=True), at_least=True)
 
@@ -521,19 +521,9 @@ def _finger_times(bench: Bench) -> Entry.Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class _Hardware:
-    """A paper's sensor with its own software and with this project's, and what the paper prints.
-
-    Attributes
-    ----------
-    own, ours
-        The two chains.
-    shift
-        The test of Table 1 or I.
-    presses
-        Contacts whose fields are reconstructed, by name.
-    width_mm, rate_hz
-        Full width at half maximum, and frames a second, as printed.
-    """
+    """A paper's sensor with its own software and with this project's; the test of Table 1 or I;
+    contacts whose fields are reconstructed, by name; width at half maximum and frames a second, as
+    printed."""
 
     own: Chain
     ours: Chain
@@ -759,37 +749,16 @@ def in_short(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
         pushed = (value("least norm: distance of the strongest"), value("least norm: total push"))
     except KeyError:
         return {}
+    numbers = {
+        "flat": flat,
+        "finger": finger,
+        "between": between,
+        "gram": gram,
+        "best": best,
+        "pushed": pushed,
+    }
+    said = tomllib.loads(Path(__file__).with_name("in_short.toml").read_text(encoding="utf-8"))
     return {
-        "What the flat sensor can and can't do": [
-            f"It finds a push: the strongest force lies {pushed[0]} mm from the axis of a 5 mm "
-            f"pillar, and the forces sum to {pushed[1]} of the applied one.",
-            f"A marker's shift is good to {flat['shift'][0]} px with its own software. A narrow "
-            f"force comes out {flat['width'][0]} mm wide, and two must be {flat['apart'][0]} mm "
-            "apart to be resolved: its markers lie 3 and 6 mm deep, and its noise is high.",
-            f"It can't give the pressure under a 5 mm pillar: the field is off by "
-            f"{flat['field'][0]} of itself.",
-        ],
-        "What the finger can and can't do": [
-            f"As a force sensor it resolves {gram[0][0]}, {gram[1][0]} and {gram[2][0]} gf "
-            "along x, y and z (the paper: 30).",
-            f"A narrow force comes out {finger['width'][0]} mm wide, and two are resolved at "
-            f"{finger['apart'][0]} mm, on the points where it was calibrated.",
-            f"Between those points it can't give a field: the error is {between[0]} of the field, "
-            f"on a point {finger['field'][0]}.",
-        ],
-        "What one would build today for the same hardware": [
-            "The same bodies, markers and cameras with a tracker that fits each disc, a matrix "
-            "computed from the drawing instead of 75 presses, and an inverse that allows forces "
-            "only where a first solution has some.",
-            f"Shifts are then good to {flat['shift'][1]} and {finger['shift'][1]} px, two forces "
-            f"are resolved at {flat['apart'][1]} and {finger['apart'][1]} mm, and the finger "
-            f"reads {gram[0][1]}, {gram[1][1]} and {gram[2][1]} gf; its field between the points "
-            f"is off by {between[1]}.",
-            "A camera without video or compression measures shifts to "
-            f"{flat['shift'][2]} and {finger['shift'][2]} px and resolves two forces at "
-            f"{flat['apart'][2]} and {finger['apart'][2]} mm; from there on the markers' depth and "
-            "pitch are the limit.",
-            f"The flat sensor with that camera and markers 1 mm apart, 1 and 2 mm deep, resolves "
-            f"forces {best} mm apart (its authors wanted 2).",
-        ],
+        heading: [" ".join(each.split()).format(**numbers) for each in part["sentences"]]
+        for heading, part in said.items()
     }

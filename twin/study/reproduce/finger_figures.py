@@ -281,11 +281,9 @@ def _curve(distance_mm: Floats, size: Floats) -> tuple[Floats, Floats]:
 
 
 def _jump(distance_mm: Floats, size: Floats) -> float:
-    """Return how far normalised magnitudes near the middle stand off a smooth curve, a quartic
-    within a pitch of it.
-
-    Steps between neighbours would not do: half of a peak 3 mm wide falls by a sixth every 0.5 mm.
-    """
+    """Return how far normalised magnitudes near the middle stand off a quartic within a pitch of
+    it. (Half of a peak 3 mm wide falls by a sixth every 0.5 mm, so steps between neighbours would
+    not do.)"""
     near = np.abs(distance_mm) <= PITCH_MM + 1e-9
     at, size = distance_mm[near], size[near]
     middle = np.abs(at) <= PITCH_MM / 2 + 1e-9

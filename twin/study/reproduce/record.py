@@ -32,11 +32,9 @@ class Quantity:
     ----------
     name, unit
         What it is; "" is a plain number.
-    paper
-        The paper's number; None where it prints none.
-    near
-        Absolute difference from the paper within which the two agree; by default `CLOSE` of the
-        paper's number.
+    paper, near
+        The paper's number, None where it prints none, and the difference within which the two
+        agree; by default `CLOSE` of the number.
     timed
         Whether it is a time or a rate, which no two runs share.
     ours
@@ -61,16 +59,8 @@ Numbers = Mapping[Quantity, float]
 
 @dataclass(frozen=True)
 class Unprinted:
-    """A quantity that a number depends on and no paper prints, with the values that are run.
-
-    Attributes
-    ----------
-    name, unit
-        What it is; "" is a plain number.
-    values
-        Rising, from one end of what is plausible to the other.
-    why
-        Why the ends are where they are.
+    """A quantity that numbers depend on and no paper prints ("" is the unit of a plain number),
+    with rising values from one end of what is plausible to the other, and why the ends are there.
     """
 
     name: str
@@ -128,22 +118,9 @@ def _common(one: Sequence[Interval], other: Sequence[Interval]) -> list[Interval
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """One quantity of one table or figure.
-
-    Attributes
-    ----------
-    twin
-        The twin's number, the mean over ``n`` runs.
-    spread
-        Standard deviation over these runs; None for one run.
-    n
-        Number of runs; they differ in seed (made sensor and noise) or, where the quantity names it,
-        in noise alone.
-    explained_by
-        The number by cause: with one modelled cause switched off, or something else in its place.
-    ranges
-        The numbers at the values of what isn't printed.
-    """
+    """One quantity of one table or figure: the mean of ``n`` runs and their standard deviation
+    (None for one), which differ in seed (made sensor and noise) or, where the quantity names it, in
+    noise alone; the number by cause switched off, and at the values of what isn't printed."""
 
     quantity: Quantity
     twin: float
@@ -210,12 +187,9 @@ class Record:
         ranges: Mapping[Unprinted, Sequence[Numbers]] | None = None,
         label: str = "",
     ) -> list[Record]:
-        """Return the records of the numbers of several runs.
-
-        ``off`` has the numbers with one cause switched off, by name; ``ranges`` those at the values
-        of what isn't printed; ``label`` begins the name of every quantity. Runs in which a quantity
-        is not defined don't count.
-        """
+        """Return the records of several runs; ones in which a quantity is not defined don't count.
+        ``off`` has the numbers with one cause switched off, by name, ``ranges`` those at the values
+        of what isn't printed; ``label`` begins the name of every quantity."""
         records = []
         for quantity in runs[0]:
             values = np.array([run[quantity] for run in runs], float)
@@ -275,20 +249,15 @@ class Record:
     def settled(
         rows: Sequence[Mapping[str, Any]],
     ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """Compare what isn't printed over all numbers of a paper.
-
-        Parameters
-        ----------
-        rows
-            Records as `row` has them, with the entry's name.
+        """Compare what isn't printed over all numbers of a paper, given by `row` with the entry's
+        name.
 
         Returns
         -------
         The records, where a number that is explained by a quantity of which others want another
         value is explained in part only; and a row for each such quantity: its paper, name, unit,
         reason and plausible range, the intervals that each number allows, and those that all allow
-        at once.
-        Numbers that no value gives allow any.
+        at once. Numbers that no value gives allow any.
         """
         found: dict[tuple[str, str], dict[str, Any]] = {}
         for row in rows:
