@@ -97,13 +97,8 @@ class _Batch:
     )
 
     def workers_and_scheduler(self) -> tuple[int, Pool.Scheduler | None]:
-        """Return the number of processes, and the scheduler; None without an address.
-
-        Raises
-        ------
-        InputError
-            No process, TLS files without an address, or only some of them.
-        """
+        """Return the number of processes, at least one, and the scheduler; None without an
+        address."""
         count = self.workers if self.workers is not None else len(os.sched_getaffinity(0))
         if count < 1:
             raise InputError(f"--workers {count}: give at least 1")
@@ -160,11 +155,8 @@ def _scene_named(scene: str) -> Iterator[None]:
 
 
 def _file_name(scene: Path, overrides: Sequence[str]) -> str:
-    """Return a name, without suffix, for output of a scene: other overrides, another name.
-
-    Characters that file systems or shells treat specially become ``_``, with a hash of the whole
-    at the end.
-    """
+    """Return a name for output of a scene, without suffix: other overrides, another name. A hash
+    stands at its end where characters, special to file systems or shells, become ``_``."""
     if not overrides:
         return scene.stem
     whole = ",".join(overrides)
@@ -314,8 +306,7 @@ def _named(lines: Iterable[str]) -> _Output:
 
 
 def _listed(option: str, given: Sequence[str], known: str) -> list[str]:
-    """Return what an option names, separated by commas or given again; nothing where it is left
-    out."""
+    """Return what an option names, separated by commas or given again."""
     names = [part.strip() for name in given for part in name.split(",") if part.strip()]
     if given and not names:
         raise InputError(f"{option} names nothing: give {known}, or leave it out for all")

@@ -55,15 +55,8 @@ _CONVERTED = ("an OBJ file", "a PLY file", "an OFF file")
 
 
 def _read_triangles(path: Path) -> Floats:
-    """Return the (m, 3, 3) corners of every triangle of an STL file, in the file's unit (mm for
-    this program).
-
-    Raises
-    ------
-    InputError
-        The file is missing, truncated, longer than its header states, too large, no STL, or its
-        numbers are not finite.
-    """
+    """Return the (m, 3, 3) corners of the triangles of an STL file; `InputError` where it is
+    unsound."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, 2)
@@ -104,8 +97,8 @@ def _read_triangles(path: Path) -> Floats:
 
 
 def _is_text(head: bytes, size: int, count: int) -> bool:
-    """Tell a text file; binary ones may start with the word solid too, so a size that fits a binary
-    file decides."""
+    """Tell a text file; binary ones may start with "solid" too, so a size that fits them
+    decides."""
     return (
         size != _HEADER + _RECORD * count
         and head.lstrip()[:5].lower() == b"solid"
@@ -306,8 +299,7 @@ def _read_once(file: str, size_mm: tuple[float, float], _changed: int, _size: in
 
 
 def _welded(corners: Floats, distance_mm: float) -> tuple[Points, Ints]:
-    """Return vertices and triangles, corners nearer than a distance being one, collapsed triangles
-    left out."""
+    """Return vertices and triangles, near corners being one, collapsed triangles left out."""
     points = corners.reshape(-1, 3)
     # Number the corners that are exactly equal, in lexicographic order.
     order = np.lexsort(points.T[::-1])

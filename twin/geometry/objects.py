@@ -53,8 +53,7 @@ def _at(flat: Floats, z: float) -> Floats:
 
 
 def _swept(sections: Floats) -> Floats:
-    """Return the triangles of closed sections (n, m, 2) of radius and height, one after the other
-    around z."""
+    """Return the triangles of closed sections (n, m, 2) of radius and height around z."""
     angle = 2.0 * math.pi * np.arange(len(sections)) / len(sections)
     radius, height = np.moveaxis(sections, 2, 0)
     along = [np.cos(angle)[:, None] * radius, np.sin(angle)[:, None] * radius, height]

@@ -127,8 +127,8 @@ class TriangleTree:
         return triangle, times
 
     def _times(self, triangle: Ints, points: Points, along: Floats) -> Floats:
-        """Return how many times ``along`` lines lie from the planes of triangles; inf where
-        parallel, or of no triangle."""
+        """Return how many times ``along`` lines lie from triangles' planes; inf where parallel, or
+        of none."""
         a, b, c = (self._corners[triangle, k] for k in range(3))
         normal = np.cross(b - a, c - a)
         slope = np.sum(normal * along, axis=-1)
@@ -140,8 +140,7 @@ class TriangleTree:
 
 @njit(cache=True)
 def _nearest_triangles(points: Points, corners: Floats, leaves: Ints, boxes: Floats) -> Ints:
-    """Return (n,) the triangle of (m, 3, 3) nearest to each of (n, 3) points, by the tree of
-    `TriangleTree`."""
+    """Return (n,) the triangle of (m, 3, 3) nearest to each of (n, 3) points, by `TriangleTree`."""
     found = np.zeros(len(points), np.int64)
     first_leaf = len(boxes) - len(leaves)
     stack = np.empty(64, np.int64)
@@ -203,8 +202,7 @@ def _nearest_triangles(points: Points, corners: Floats, leaves: Ints, boxes: Flo
 
 
 def _onto_triangles(points: Points, corners: Floats) -> tuple[Points, Ints]:
-    """Return the nearest places (n, 3) of triangles (n, 3, 3), and their features (n,), by the
-    signs of barycentric coordinates (C. Ericson, Real-Time Collision Detection (2005), 5.1.5)."""
+    """Return the nearest places (n, 3) of triangles (n, 3, 3), and their features (n,)."""
     a, b, c = corners.transpose(1, 0, 2)
     ab, ac = b - a, c - a
 
@@ -258,11 +256,8 @@ class _Nearest:
             getattr(self, name)[place] = array
 
     def limit(self, depth: Floats) -> None:
-        """Replace what the planes of pieces of a body with dents cut elsewhere.
-
-        Inside the body, and where the plane's distance is less than ``depth``, the signed distance
-        to the whole surface, the plain distance to the piece is used.
-        """
+        """Take the plain distance where, inside a body with dents, a piece's plane cuts other
+        parts: where its distance is less than ``depth``, that to the whole surface."""
         far_away = (depth > _TOUCHING_MM) | (self.distance < depth - _TOUCHING_MM)
         self.distance[far_away] = self.plain[far_away]
         clear = far_away & (self.plain > _TOUCHING_MM)
@@ -509,13 +504,8 @@ def _folds(
 
 
 def _feature_normals(triangles: Ints, corners: Floats, piece: Ints) -> tuple[Floats, Bools]:
-    """Return (m, 7, 3) unit outward normals of every feature of every triangle, and (m, 7) which
-    are on a border.
-
-    Features are numbered as in `twin.geometry.pieces`: face, three corners, three edges. A
-    corner's normal is the mean of its triangles' weighted by their angle there, an edge's the mean
-    of its two.
-    """
+    """Return (m, 7, 3) outward normals of every feature of triangles, and (m, 7) which are on a
+    border."""
     face, across = _face_normals(corners), _neighbours(triangles)
     sides = np.roll(corners, -1, axis=1) - corners
     sides /= np.linalg.norm(sides, axis=2, keepdims=True)

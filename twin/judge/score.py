@@ -311,8 +311,8 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
 
 
 def _field_errors(error: Floats, truth: Floats, frames: Floats | None) -> dict[str, float | None]:
-    """Return the size of a field's (k, 3) error over the truth's, in all, along the normal, and
-    tangentially; None where the truth is zero, or that part less than `LEAST_PART` of it."""
+    """Return a field's relative error in all and by part; None where the truth's part is too
+    small."""
     if frames is not None:
         error, truth = (np.einsum("kij,kj->ki", frames, part) for part in (error, truth))
     parts = {"all": slice(0, 3), "normal": slice(2, 3), "tangential": slice(0, 2)}

@@ -446,8 +446,7 @@ class Solid(StlFile, Body):
 
     @cached_property
     def _sheets(self) -> Pieces:
-        """The same triangles by smooth sheet, whatever is pressed or held: sharp edges alone divide
-        them."""
+        """Triangles by smooth sheet: sharp edges alone divide them."""
         from twin.geometry.pieces import Pieces
 
         everything = np.ones(len(self._surface.triangles), bool)

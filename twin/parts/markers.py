@@ -285,8 +285,8 @@ def _if_turned(body: Body, points: Floats, radii_mm: Floats) -> str:
 
 
 def _gaps(name: str, layers: Mapping[str, MarkerLayer]) -> list[tuple[str, float]]:
-    """Return the smallest distance (mm) of a layer's centres to the surface, to each other and to
-    each other layer."""
+    """Return the least distances (mm) of a layer's centres to the surface, each other and other
+    layers."""
     layer = layers[name]
     gaps = [("the sensing surface", layer.depth_mm)]
     if layer.columns * layer.rows > 1:
@@ -301,7 +301,6 @@ def _gaps(name: str, layers: Mapping[str, MarkerLayer]) -> list[tuple[str, float
 
 
 def _room(body: Block, layer: MarkerLayer) -> float:
-    """Return the smallest distance of a layer's centres to the sides and the base of a block,
-    mm."""
+    """Return the least distance of a layer's centres to the sides and the base of a block, mm."""
     x, y = (float(np.abs(axis).max()) for axis in layer.axes())
     return min(body.width_mm / 2 - x, body.length_mm / 2 - y, body.thickness_mm - layer.depth_mm)

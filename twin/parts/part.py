@@ -162,8 +162,8 @@ class Part(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _true_is_no_number(cls, table: Any) -> Any:
-        """Make ``true`` a word where only a number fits, so that it is refused there: it would be
-        taken as 1."""
+        """Make ``true``, which would be taken as 1, a word where only a number fits, so that it is
+        refused."""
         if not isinstance(table, Mapping):
             return table
         return {

@@ -33,19 +33,8 @@ _ROUND_OFF = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class _Finding:
-    """One number of a run, explained.
-
-    Attributes
-    ----------
-    key
-        Where it stands in ``score.json``, such as ``force.total_force_error``.
-    value, unit
-        The number, None where it is not defined, and its unit; empty for a count or a factor.
-    sentence
-        What it means for this run.
-    verdict
-        ``good``, ``fair``, ``poor``, or empty where there is no scale.
-    """
+    """A number of a run by its key in ``score.json``, its unit (empty for a count or a factor), its
+    sentence, and its verdict: ``good``, ``fair``, ``poor``, or empty where there is no scale."""
 
     key: str
     value: float | None

@@ -156,8 +156,7 @@ _WIDEST_PX = 1280
 
 
 def _data_uri(picture: Picture) -> tuple[str, float]:
-    """Return a picture as a data URI, and the share of its width and height that was kept to bound
-    the page's size."""
+    """Return a picture as a data URI, and the share of its width that bounds the page's size."""
     step = -(-picture.shape[1] // _WIDEST_PX)
     while True:
         content = png_bytes(_reduced(eight_bits(picture), step))
@@ -263,8 +262,8 @@ def _errors(score: Mapping[str, Any] | None) -> str:
 
 
 def _flat(key: str, value: Any) -> list[tuple[str, Any]]:
-    """Return every figure of a nested table under its dotted key; numbers that are not finite as
-    None."""
+    """Return every figure of a nested table under its dotted key; None for numbers that aren't
+    finite."""
     if isinstance(value, Mapping):
         return [row for k, v in value.items() for row in _flat(f"{key}.{k}", v)]
     numbers = isinstance(value, list | tuple | np.ndarray | float | np.floating)
@@ -345,8 +344,7 @@ def _split_unit(key: str) -> tuple[str, str]:
 
 
 def _name_of(key: str) -> tuple[str, str]:
-    """Return name and meaning of a figure given as ``stage.key``; ``stage.group.key`` means what
-    ``stage.key`` does."""
+    """Return name and meaning of ``stage.key``; ``stage.group.key`` means the same."""
     stage, _, rest = key.partition(".")
     *groups, last = rest.split(".")
     if not last:
@@ -365,8 +363,8 @@ def _amount(key: str, value: float) -> str:
 
 
 def _as_html(key: str, value: Any) -> str:
-    """Return any value of a result as HTML: numbers in their unit, lists and tables spelt out,
-    texts escaped."""
+    """Return any value as HTML: numbers in their unit, lists and tables spelt out, texts
+    escaped."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
@@ -405,8 +403,7 @@ _GROSS_PX = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class _Sighting:
-    """Markers in the picture: (n,) layer names, (n, 2) rest places and shifts, px, NaN where
-    unknown, and whether a tracker was run at all."""
+    """(n,) markers in the picture, px, NaN where unknown, and whether a tracker was run at all."""
 
     layer: np.ndarray
     true_rest_px: Pixels
@@ -448,10 +445,8 @@ def _sighting(result: RunResult) -> _Sighting | None:
 
 
 def _true_pixels(truth: Truth) -> tuple[Pixels, Pixels]:
-    """Return (n, 2) rest places and shifts, px, of the visible outlines, else of the centres.
-
-    A tracker sees the outlines; in the finger the two differ by up to 0.4 px.
-    """
+    """Return (n, 2) rest places and shifts, px, of the visible outlines, which a tracker sees, else
+    of the centres."""
     if len(truth.marker_outline_rest_px) and len(truth.marker_outline_pressed_px):
         return (
             truth.marker_outline_rest_px,
@@ -820,8 +815,8 @@ def _pressure(one: RunResult.Touch) -> str:
 
 
 def _layers(names: np.ndarray) -> list[tuple[str, str, Bools]]:
-    """Return name, style and mask of every layer, in their order of appearance: layers that are
-    named after their colour have its style, others take the remaining styles in turn."""
+    """Return name, style and mask of every layer: styles are colours' names, or the remaining ones
+    in turn."""
     ordered = list(dict.fromkeys(names.tolist()))
     spare = iter([s for s in ("blue", "red") if s not in ordered] + ["other"] * len(ordered))
     own = ("red", "blue")

@@ -144,9 +144,7 @@ def _forget_provenance(table: Table, key: str) -> None:
 
 
 def _override(table: Table, dotted: str, value: Any) -> None:
-    """Put a value at a dotted key of ``table``, and note there that it is assumed; `RecipeError`
-    where a part of the key names a value, not a table.
-    """
+    """Put a value at a dotted key, and note that it is assumed; refuse a key through a value."""
     *parents, last = ["renderer"] if dotted == "picture.renderer" else dotted.split(".")
     if parents and parents[-1] in BY_AXIS:  # press.force_n.z: the vector is one value of its table
         *parents, vector = parents
@@ -217,8 +215,8 @@ def parse_overrides(texts: Sequence[str]) -> Table:
 
 
 def _find_files(table: Table, path: Path, folders: Sequence[Path]) -> None:
-    """Replace the names of the files of scene ``path``, which lie in any of ``folders``, by whole
-    paths, and a camera's file by its numbers."""
+    """Replace files' names by whole paths found in ``folders``, and a camera's file by its
+    numbers."""
 
     def found(holder: Any, where: str, remedy: str = "; check the path", *more: Path) -> Any:
         """Return a table with the whole path of its file, if it names one."""
@@ -257,8 +255,7 @@ def _find_files(table: Table, path: Path, folders: Sequence[Path]) -> None:
 
 
 def _read_intrinsics(table: Table, folders: Sequence[Path]) -> None:
-    """Put the numbers of the camera's file of intrinsics, which lies in any of ``folders``, in the
-    place of its name."""
+    """Put the numbers of the camera's file of intrinsics in the place of its name."""
     camera = table.get("camera")
     if not isinstance(camera, dict) or not isinstance(camera.get("intrinsics"), str):
         return
@@ -386,16 +383,14 @@ def _complaints(problem: ValidationError, table: Mapping[str, Any]) -> list[str]
 
 
 def _is_other_word(error: dict[str, Any], errors: list[dict[str, Any]]) -> bool:
-    """Return whether an error is about a word that may stand in place of a number: the
-    number's range is more useful."""
+    """Return whether an error is about a word in place of a number, whose range is more useful."""
     if error["type"] != "literal_error" or isinstance(error.get("input"), str):
         return False
     return any(other is not error and other["loc"][:-1] == error["loc"][:-1] for other in errors)
 
 
 def _nearest(errors: list[dict[str, Any]], table: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Keep, of a value that fits none of the kinds it may be of, the errors of the kind that it
-    is nearest to."""
+    """Keep, of a value that fits no kind, the errors of the kind that it is nearest to."""
     by_value: dict[tuple[Any, ...], dict[Any, list[dict[str, Any]]]] = {}
     for error in errors:
         loc = error["loc"]
@@ -493,8 +488,7 @@ def _wanted(keys: list[Any], table: Mapping[str, Any]) -> str:
 
 
 def _dotted(keys: list[Any]) -> str:
-    """Return keys as recipes write them: the parts of a force or a motion are named, not
-    numbered."""
+    """Return keys as recipes write them: parts of a vector are named, not numbered."""
     named = [
         "xyz"[key] if key in (0, 1, 2) and before in BY_AXIS else str(key)
         for before, key in zip([None, *keys], keys, strict=False)
@@ -658,10 +652,7 @@ def _find(name: str, near: Sequence[Path], what: str, where: Path | None = None)
 
 
 def _read_with_bases(path: Path, above: Sequence[Path] = ()) -> tuple[Table, list[Path]]:
-    """Return a scene's table over those of its bases, and the folders in which they lie.
-
-    ``above`` are the scenes that have it as their base.
-    """
+    """Return a scene's table over those of its bases, and their folders; ``above`` build on it."""
     table = read_recipe(path)
     base = table.pop("base", None)
     if base is None:

@@ -184,11 +184,8 @@ def _rest_pictures(path: Path) -> list[Picture]:
 
 @dataclass(frozen=True, kw_only=True)
 class _FrameResult:
-    """The motion and the forces of one frame; None where it failed.
-
-    ``reason`` is why it failed, or why it is doubted; else empty. ``bump`` is the shift that all
-    markers share, ``seconds`` the computing time without reading.
-    """
+    """A frame's motion and forces, None where it failed; why it failed or is doubted; the shift
+    that all markers share; computing seconds without reading."""
 
     name: str
     picture: Picture | None
@@ -199,11 +196,8 @@ class _FrameResult:
     seconds: float
 
     def row(self, sites: int) -> dict[str, Any]:
-        """Return the table's row: names carry units; NaN where it failed.
-
-        ``fx_n`` and so on are the total of the linear estimate, ``sum_fx_n`` the sum of the sites'
-        forces, which differs from it where these are held to pushes or to friction cones.
-        """
+        """Return the table's row, NaN where it failed: ``fx_n`` is of the linear estimate,
+        ``sum_fx_n`` of the sites, which may be held to pushes or to friction cones."""
         nothing = np.full(3, np.nan)
         field = self.field
         vectors = {
@@ -238,18 +232,8 @@ def _reconstruct_frames(
     clock: _Clock | None = None,
     **options: Any,
 ) -> Iterator[_FrameResult]:
-    """Yield the result of every frame of a sequence.
-
-    ``rests`` are the pictures without load; ``options`` are those of
-    `twin.sense.reconstruct.reconstruct`. With ``clock`` forces are those of the calibration's
-    rubber as it relaxes (`twin.sense.reconstruct.Field.relaxed`); over frames that fail,
-    displacements are taken to change linearly.
-
-    Raises
-    ------
-    InputError
-        The rest picture shows fewer than 2 of the calibration's markers.
-    """
+    """Yield the result of every frame. With ``clock`` forces are those of the calibration's rubber
+    as it relaxes; over frames that fail, displacements are taken to change linearly."""
     # The rest picture must show the markers of the calibrated sensor.
     width = calibration.diameter_px
     tracker = Tracker(rests, calibration.layout, diameter_px=width if np.isfinite(width) else None)
@@ -308,8 +292,7 @@ _Clock = Callable[[int, str], float]
 def _clock_of(
     known: Calibration, rate: float | None, times: Path | None
 ) -> tuple[_Clock | None, str]:
-    """Return when frames were taken, as given or as in the calibration's recipe, and the same in
-    words; None where each is read by itself."""
+    """Return when frames were taken, and that in words; None where each is read by itself."""
     if rate is not None and times is not None:
         raise InputError("--times and --frames-per-second: give one of them")
     if rate is None and times is None:
@@ -339,13 +322,9 @@ def _clock_of(
 
 
 def _other_sensor(rest_px: Pixels, calibration: Calibration) -> str:
-    """Return why the (n, 2) markers of a rest picture, px, are another sensor's than the
-    calibration's, or nothing.
-
-    Every layer is compared up to a shift, which a remounted camera causes, and a small affine
-    change, which other depths and a turned camera cause. Measured rest places also distinguish
-    sensors of one design. Stiffness does not show in a rest picture.
-    """
+    """Return why a rest picture's (n, 2) markers, px, are another sensor's, or nothing. Layers are
+    compared up to a shift (a remounted camera) and a small affine change (other depths, a turned
+    camera)."""
     remedy = (
         "is the calibration this sensor's, and the rest picture without load, upright and of its "
         "camera mode? Make one for this sensor with twin calibrate"
@@ -503,17 +482,8 @@ _SHOWN = 5
 
 
 class _Summary:
-    """What became of the frames and their markers, and the force error that follows.
-
-    Attributes
-    ----------
-    causes
-        Of the stated error.
-    count, failed
-        Frames.
-    first
-        The first frame with a reason, and this.
-    """
+    """What became of the frames and their markers, the causes of the force error, and the first
+    trouble."""
 
     def __init__(self, scale_error: float, in_time: bool) -> None:
         self.causes = "of the markers' noise"
@@ -551,9 +521,9 @@ class _Summary:
         self._last = result.reason
 
     def lines(self, bounded: bool) -> list[str]:
-        """Return counts of frames, shares of the markers' states, the standard deviation of total
-        forces (root mean square over the frames) that the markers' stated ones lead to, and the
-        largest force; ``bounded``: the sites' forces are held to pushes or to friction cones."""
+        """Return counts of frames, shares of markers' states, the root mean square of total forces'
+        deviations, and the largest force; ``bounded``: sites are held to pushes or friction
+        cones."""
         lines = [f"frames      {self.count}, {self.failed} failed, {self._doubted} doubtful"]
         if not self._largest:
             return lines
@@ -670,8 +640,7 @@ def _described_options(options: Mapping[str, Any]) -> str:
 
 
 def _keep_inputs(inputs: Sequence[Path], **outputs: Path | None) -> None:
-    """Refuse output over an input, or between inputs: drawings in a folder would be its next
-    frames."""
+    """Refuse output over an input, or between inputs: drawings there would be the next frames."""
     read = {os.path.realpath(path) for path in inputs}
     for option, path in outputs.items():
         if path is None:
@@ -751,9 +720,9 @@ class _OverlayFile:
 
 
 def _overlay(picture: Picture, found: Found | None, text: str, times: float) -> Picture:
-    """Return an (h, w, 3) or (h, w) picture in colour, with a line of text and, if markers were
-    found, a line from every one's rest place (dot) along its motion, ``times`` as long; those
-    without a shift are circles. Colours show the states."""
+    """Return an (h, w, 3) or (h, w) picture in colour with a line of text, and a line for every
+    marker's motion, ``times`` as long; those without a shift are circles. Colours show the
+    states."""
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(eight_bits(picture)).convert("RGB")

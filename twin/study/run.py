@@ -172,8 +172,7 @@ def run_to_folder(
 def _checked(
     scene: Scene, wanted: frozenset[str], by_name: bool, progress: Progress | None
 ) -> tuple[Sensor, frozenset[str]]:
-    """Return the sensor and the parts that are needed; ``by_name``: the scene must have all that is
-    wanted."""
+    """Return the sensor and what is needed; ``by_name``: the scene must have all that is wanted."""
     for name in sorted(wanted.difference(WANTED)):
         hint = did_you_mean(name, WANTED, f"allowed are {', '.join(WANTED)}")
         raise InputError(f"want = '{name}': unknown; {hint}")
@@ -217,8 +216,8 @@ def _only(result: RunResult, wanted: frozenset[str]) -> RunResult:
 
 @one_blas_thread()
 def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -> RunResult:
-    """Compute the stages that are needed. With ``keep_last`` a step without equilibrium leaves the
-    state before it, else the error."""
+    """Compute what is needed; with ``keep_last`` a step without equilibrium leaves the state before
+    it."""
     scene = sensor.nominal
     timings: dict[str, float] = {}
     stages = [name for name, needs in _STAGES.items() if needs in needed]
@@ -358,11 +357,8 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
 
 
 def _unseen(scene: Scene, shift_px: Pixels, noise_px: float | None) -> list[str]:
-    """Return a warning where a press moves no marker by as much as ``noise_px``.
-
-    That is the standard deviation of a measured shift (None where it is not known); ``shift_px``
-    are (n, 2) true shifts.
-    """
+    """Return a warning where (n, 2) true shifts are all below the noise of one, None if not
+    known."""
     moved = np.linalg.norm(shift_px, axis=1)
     if noise_px is None or not np.isfinite(moved).any() or np.nanmax(moved) >= noise_px:
         return []
@@ -378,8 +374,7 @@ def _unseen(scene: Scene, shift_px: Pixels, noise_px: float | None) -> list[str]
 
 
 def _at_rate(scene: Scene, press: Press) -> tuple[Press, Floats | None]:
-    """Return the press in parts that end where the software reads a frame, and the parts' times, s;
-    else the press, and None."""
+    """Return the press in parts that end with frames, and their times, s; without frames None."""
     rate = None if scene.reconstruction is None else scene.reconstruction.frames_per_second
     if rate is None:
         return press, None
@@ -396,8 +391,8 @@ def _relaxed(
     ends_s: Floats,
     calibration: Calibration,
 ) -> Field:
-    """Return the last frame's field with the forces of rubber that relaxes: the software reads
-    every frame before it, too."""
+    """Return the last frame's field with forces of rubber that relaxes, from all frames before
+    it."""
     from twin.sense.reconstruct import reconstruct
     from twin.sense.track import Tracker
     from twin.theory.relaxation import Hereditary
@@ -485,7 +480,7 @@ def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
 
 
 def _tracking_doubt(tracking: Mapping[str, Any] | None, found: Found | None) -> list[str]:
-    """Return a warning where few of the unoccluded markers were found, with what became of the
+    """Return a warning where few of the unoccluded markers were found, and what became of the
     others."""
     if found is None or not tracking or not tracking["markers"] or tracking["matched"] >= FEW:
         return []

@@ -69,10 +69,8 @@ _AWAY = "move the load away from the edges of the sensing surface"
 
 @dataclass(frozen=True, kw_only=True)
 class _Actual:
-    """One made sensor: the scene with the actual numbers in place of the nominal ones, (n, 2) print
-    errors of the markers along the surface, mm, all markers at their actual rest places, and the
-    deviations of single markers (None without any).
-    """
+    """One made sensor: scene with actual numbers, (n, 2) print errors, mm, markers, and their
+    deviations."""
 
     scene: Scene
     jitter_mm: Chart
@@ -341,13 +339,8 @@ class Sensor:
         return found.displacement_mm + (more.displacement(points) if more is not None else 0.0)
 
     def _strained(self, load: Load) -> Load.Strained | None:
-        """Return what is to be added to the linear answer under a load; None by linear theory.
-
-        Raises
-        ------
-        RecipeError
-            `Material.law` includes large strain, and the load is not that of one press.
-        """
+        """Return what to add to the linear answer, None by linear theory; refuse loads but one
+        press."""
         if self.nominal.material.law == "linear" or not load.terms:
             return None
         if load.strained is None:
@@ -457,8 +450,8 @@ class Sensor:
         return StiffBeads.of(self.actual.markers, self.actual.scene.markers)
 
     def _completed(self, passive: Motion, load: Load, field: Callable[[Points], Points]) -> Motion:
-        """Add what linear theory leaves out to the motion that the rubber's ``field`` causes, and
-        the interaction of rigid beads."""
+        """Add what linear theory leaves out, and the interaction of rigid beads in the rubber's
+        ``field``."""
         if (more := self._strained(load)) is not None:
             points = self.actual.markers.points
             passive = replace(
@@ -512,11 +505,9 @@ class Sensor:
         return bool(expected(self.rectangles(load)) > ABOVE * self.nominal.displacement_error)
 
     def _warn_if_press_inaccurate(self, error: PressError) -> None:
-        """Warn of each number of a press that misses its bound, with the largest cause.
-
-        The markers, and the body's share of force and indentation, are held to what the scene
-        requests; the whole force and indentation to `PRESSED` at least, tractions to `TRACTION`.
-        """
+        """Warn of each number that misses its bound, with the largest cause: markers, and the
+        body's share of force and indentation, by the scene's request, the whole by `PRESSED` at
+        least, tractions by `TRACTION`."""
         asked = self.nominal.displacement_error
         bounds = {"displacements": asked, "tractions": TRACTION}
         for what in ("force", "indentation"):

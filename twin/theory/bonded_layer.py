@@ -122,7 +122,7 @@ class BondedLayer:
         return np.asarray(sheared + tension[:, None] * areas[:, :, None])
 
     def _slopes(self, points: Points, load: Rectangles, columns: Floats) -> tuple[Floats, Floats]:
-        """Return dv_i/dx_j (n, 3, 3, m) for G = 1, and lambda div v (n, m) in MPa, in m load cases
+        """Return dv_i/dx_j (n, 3, 3, m) for G = 1, and lambda div v (n, m) in MPa, in load cases
         (k, 3, m)."""
         cases = columns.shape[2]
         slope = np.zeros((len(points), 3, 3, cases))
@@ -300,8 +300,8 @@ def _waves(k: Floats, z: float, nu: float) -> tuple[tuple[Floats, ...], tuple[Fl
 
 @njit(cache=True)
 def _stencil(at: float, first: int, weight: Floats, slope: Floats) -> None:
-    """Set the weights, and their derivatives, of the Lagrange polynomials of points ``first``,
-    ``first`` + 1, ..."""
+    """Set weights, and derivatives, of the Lagrange polynomials of points ``first``, ``first`` + 1,
+    ..."""
     for i in range(_STENCIL):
         product, change = 1.0, 0.0
         for j in range(_STENCIL):
@@ -313,8 +313,8 @@ def _stencil(at: float, first: int, weight: Floats, slope: Floats) -> None:
 
 @njit(cache=True)
 def _place(r: float, z: float, weights: Floats) -> tuple[int, int]:
-    """Set ``weights`` (4, _STENCIL): along r, its derivative, along z, its derivative; return the
-    first indices."""
+    """Set ``weights`` (4, _STENCIL) along r and z, each with derivative; return the first
+    indices."""
     along = r * _CELLS + _STENCIL // 2
     down = min(max(z, 0.0), 1.0) * _CELLS + _STENCIL // 2
     i, j = int(along) - _STENCIL // 2 + 1, int(down) - _STENCIL // 2 + 1
@@ -431,8 +431,7 @@ def _gradient(
 def _near(
     x: float, y: float, r: float, f: Floats, r_slope: Floats, z_slope: Floats, g: Floats, t: Floats
 ) -> None:
-    """Set g[i, k, j] = dv_i/dx_j and t[k] = lambda div v under a unit force k from the grid's
-    functions."""
+    """Set g[i, k, j] = dv_i/dx_j and t[k] = lambda div v under a unit force k."""
     away = (x, y)
     over_r = 1.0 / max(r, 1e-9)
     for j in range(2):

@@ -39,8 +39,7 @@ class _HertzContact:
     peak_pressure_mpa: float
 
     def pressure(self, distance_mm: Floats) -> Floats:
-        """Return p0 sqrt(1 - r^2/a^2), MPa, at distances r (any shape) from the middle; 0 outside
-        (section 3.4)."""
+        """Return p0 sqrt(1 - r^2/a^2), MPa, at distances r (any shape); 0 outside (section 3.4)."""
         inside = 1.0 - (np.asarray(distance_mm, float) / self.contact_radius_mm) ** 2
         return self.peak_pressure_mpa * np.sqrt(np.maximum(inside, 0.0))
 
@@ -108,9 +107,8 @@ def cone_contact_radius(
 
 @dataclass(frozen=True)
 class _Law:
-    """Error of the markers' displacement, relative to the largest one, = ``factor`` times mean
-    contact pressure / Young's modulus; beyond the largest strain of the study, ``known_strain``,
-    the law is a guess."""
+    """Markers' error over the largest displacement = ``factor`` times mean contact pressure /
+    Young's modulus; known up to a strain of ``known_strain``."""
 
     factor: float
     known_strain: float

@@ -137,8 +137,8 @@ def _pairs(points: Points, load: Rectangles) -> tuple[Floats, Floats, Floats, Fl
 
 @njit(cache=True)
 def _local(point: Floats, centre: Floats, frame: Floats) -> tuple[float, float, float]:
-    """Return the point in the rectangle's frame; round-off and hair's breadths above its plane
-    count as on it."""
+    """Return the point in the rectangle's frame; a hair's breadth above its plane counts as on
+    it."""
     dx, dy, dz = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     x = frame[0, 0] * dx + frame[0, 1] * dy + frame[0, 2] * dz
     y = frame[1, 0] * dx + frame[1, 1] * dy + frame[1, 2] * dz
@@ -211,8 +211,7 @@ def _compliance(
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
 def _normal(centre: Floats, half: Floats, out: Floats) -> None:
-    """Set ``out`` (k, k) to the means of 1 / r over each rectangle, from each centre, by the same
-    rules as `rectangle_terms`."""
+    """Set ``out`` (k, k) to the means of 1 / r over each rectangle, from each centre."""
     for t in range(len(centre)):
         a, b = half[t]
         size = a * a + b * b
@@ -405,8 +404,7 @@ def _point_terms(
 def _point_slopes(
     x: float, y: float, z: float, k: float, weight: float, d: Floats, n: Floats
 ) -> None:
-    """Add ``weight`` times d[i, j, m] = du_i/dx_m per unit force j, (3, 3, 3), and n_j = x_j / r^3
-    to (3,)."""
+    """Add ``weight`` times d[i, j, m] = du_i/dx_m per unit force j, and n_j = x_j / r^3."""
     p = (x, y, z)
     over_r = 1.0 / math.sqrt(x * x + y * y + z * z)
     w3 = weight * over_r * over_r * over_r
@@ -448,8 +446,8 @@ def _log(over: float, under: float) -> float:
 
 @njit(cache=True, forceinline=True)
 def _log_ratio(y1: float, r1: float, y2: float, r2: float, rest: float) -> float:
-    """Return ln[(y1 + r1) / (y2 + r2)] with y1 > y2 and r^2 = y^2 + rest, without cancellation; 0
-    if infinite."""
+    """Return ln[(y1 + r1) / (y2 + r2)], y1 > y2, r^2 = y^2 + rest, without cancellation; 0 if
+    infinite."""
     if y2 >= 0.0:
         over, under = y1 + r1, y2 + r2
     elif y1 < 0.0:

@@ -133,8 +133,8 @@ def shift_per_strain(points: Points, centres: Points, own: np.ndarray) -> NDArra
 def _slopes(
     points: Points, centres: Points, shear_modulus_mpa: float, own: np.ndarray | None
 ) -> Iterator[tuple[slice, int, Floats]]:
-    """Yield some points and an axis k at a time, and (some, m, 3, 3) d/dk of `point_force` as its
-    source moves."""
+    """Yield some points, an axis k, and (some, m, 3, 3) d/dk of `point_force` as its source
+    moves."""
     for start in range(0, len(points), _CHUNK):
         some = slice(start, start + _CHUNK)
         direct = np.ones((len(points[some]), len(centres)), bool)

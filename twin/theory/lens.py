@@ -101,8 +101,8 @@ def lens_jacobian(towards: Points, camera: Camera) -> Floats:
 
 
 def _distortion_jacobian(place: Floats, radius: Floats, camera: Camera) -> Floats:
-    """Return (n, 2, 2) derivatives of distorted places with respect to undistorted ones, ``radius``
-    from the axis."""
+    """Return (n, 2, 2) derivatives of distorted places, undistorted ones being ``radius`` off the
+    axis."""
     image, growth = _radial(radius, camera)
     stretch = np.where(radius > 1e-12, image / np.maximum(radius, 1e-300), 1.0)
     _, slope = _decentring(place, camera)
@@ -126,8 +126,8 @@ def lens_inverse(pixels: Pixels, camera: Camera) -> Points:
 
 
 def _fold(camera: Camera) -> float:
-    """Return the radius (tan of the angle, or the angle) where the lens's radial map stops growing;
-    inf if nowhere."""
+    """Return the radius (tan of the angle, or angle) where the radial map stops growing; inf if
+    nowhere."""
     up, down = _polynomials(camera)
     # g = r U(s) / D(s) with s = r^2: g' D^2 = U D + 2 s (U' D - U D').
     s = np.polynomial.Polynomial([0.0, 1.0])
@@ -149,8 +149,8 @@ def _radius(towards: Points, camera: Camera) -> tuple[Floats, Floats, Floats]:
 
 
 def _around(radius: Floats, across: Floats, ahead: Floats) -> Floats:
-    """Return radii over how far directions go across; on the axis their limit, and NaN there behind
-    the camera."""
+    """Return radii over how far directions go across; their limit on the axis, NaN behind the
+    camera."""
     on_axis = across <= 1e-12
     return np.where(on_axis, 1 / _ahead(ahead), radius / np.where(on_axis, 1.0, across))
 
@@ -187,8 +187,7 @@ def _radial(radius: Floats, camera: Camera) -> tuple[Floats, Floats]:
 
 
 def _undistort(distorted: Floats, camera: Camera) -> Floats:
-    """Return the radius whose distorted value is given: Newton held inside a shrinking bracket; NaN
-    past the fold."""
+    """Return the radius of a distorted one, by Newton in a shrinking bracket; NaN past the fold."""
     if not any(camera.distortion):
         return distorted
     top = min(_fold(camera), 1e3)
@@ -218,8 +217,8 @@ def stretches(unit: Floats, along: Floats, across: Floats) -> Floats:
 
 
 def _decentring(place: Floats, camera: Camera) -> tuple[Floats, Floats | None]:
-    """Return (n, 2) decentring of undistorted places (x right, y up) and its (n, 2, 2) derivatives;
-    None for none."""
+    """Return (n, 2) decentring of places (x right, y up) and its (n, 2, 2) derivatives; None for
+    none."""
     p1, p2 = (
         camera.distortion[2:4]
         if len(camera.distortion) > 2 and camera.lens == "pinhole"
@@ -239,8 +238,7 @@ def _decentring(place: Floats, camera: Camera) -> tuple[Floats, Floats | None]:
 
 
 def _without_decentring(flat: Floats, camera: Camera) -> Floats:
-    """Return (n, 2) places, distorted radially only, for wholly distorted ones: Newton from the
-    undecentred guess."""
+    """Return (n, 2) places without decentring: Newton from the undecentred guess."""
     if _decentring(np.zeros((1, 2)), camera)[1] is None:
         return flat
     image = np.linalg.norm(flat, axis=1)

@@ -30,8 +30,8 @@ _ITERATIONS = 60
 
 
 def _through(p: Any, thickness: Any, index: float) -> tuple[Any, Any]:
-    """Return how far a ray of tangent ``p`` in air moves sideways in one layer, and the derivative;
-    or many rays."""
+    """Return how far rays of tangent ``p`` in air move sideways in one layer, and the
+    derivative."""
     square = index * index
     inverse = 1 / np.sqrt(square + (square - 1) * (p * p))
     return thickness * (p * inverse), thickness * (square * (inverse * inverse * inverse))
@@ -55,8 +55,8 @@ def _tangents(
 def _tangent(
     reach: float, depth: float, index: float, stack: Floats, air: float
 ) -> tuple[float, float]:
-    """Return the tangent of the ray that moves ``reach`` sideways, NaN for none, and the slope of
-    `sideways` there."""
+    """Return the tangent of the ray that moves ``reach`` sideways, NaN for none, and `sideways`'
+    slope."""
     p = reach / _sideways(0.0, depth, index, stack, air)[1]
     for _ in range(_ITERATIONS):
         so_far, slope = _sideways(p, depth, index, stack, air)
@@ -210,8 +210,8 @@ def reflection(p: Any, one: Any, two: Any) -> Any:
 def _leave(
     points: Points, camera: Camera, body_index: float, base_z_mm: float
 ) -> tuple[Points, Floats, Floats]:
-    """Return (n, 3) air directions (p e, -1) from pupil to points, (n,) p, and how far aside (n, 2)
-    the points are."""
+    """Return (n, 3) air directions (p e, -1) from pupil to points, (n,) p, and (n, 2) how far
+    aside."""
     points = np.asarray(points, float)
     aside = points[:, :2] - np.asarray(camera.pupil_mm[:2])
     reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)

@@ -212,8 +212,8 @@ class Pool:
             raise _TooLong
 
     def _run_on_this_machine(self, job: Job, waiting: deque[int]) -> Iterator[Job.Done]:
-        """Compute tasks in this process and its copies, and take them off the list; what is left is
-        for other processes."""
+        """Take tasks off the list and compute them in this process and its copies; the rest is for
+        others."""
         if not self._copies:
             if _can_be_copied():
                 yield from self._run_here(job, waiting, COPY_S)
@@ -225,8 +225,8 @@ class Pool:
         yield from self._run_in_copies(job, waiting)
 
     def _run_in_copies(self, job: Job, waiting: deque[int]) -> Iterator[Job.Done]:
-        """Compute tasks in copies of this process, and take them off the list; what is left when a
-        copy has died is for other workers."""
+        """Take tasks off the list and compute them in copies; the rest, if one died, is for other
+        workers."""
         idle, given = self._copies, dict[Any, int]()
         self._copies = []
         try:
@@ -247,8 +247,8 @@ class Pool:
             self._copies = idle
 
     def _run_here(self, job: Job, waiting: deque[int], start_s: float) -> Iterator[Job.Done]:
-        """Compute tasks in this process until other processes pay, which take ``start_s`` to start,
-        and take them off the list."""
+        """Take tasks off the list and compute them here until processes pay that take ``start_s``
+        to start."""
         gain = 1.0 - 1.0 / min(self._workers, len(waiting))
         folder = self._folders[job.name]
         with one_thread(), suppress(_TooLong):
@@ -345,15 +345,15 @@ class Pool:
 
 
 def _can_be_copied() -> bool:
-    """Return whether this process can be copied: Dr.Jit's threads are not, so that a copy would
-    wait for them for ever."""
+    """Return whether this process can be copied: a copy would wait for Dr.Jit's threads for
+    ever."""
     return FORKS and "drjit" not in sys.modules
 
 
 @contextmanager
 def _copies(count: int) -> Iterator[list[Any]]:
-    """Copy this process, and stop the copies in the end; give a pipe to each of them, fewer than
-    ``count`` where there is no room."""
+    """Give pipes to ``count`` copies of this process, fewer where there is no room; stop them in
+    the end."""
     context = multiprocessing.get_context("fork")
     processes = []
     pipes: list[Any] = []
@@ -376,10 +376,8 @@ def _copies(count: int) -> Iterator[list[Any]]:
 
 
 def _serve(pipe: Any, others: Sequence[Any]) -> None:
-    """Compute tasks in a copy of a process until that one is gone; interrupts are its business.
-
-    The copy ends with it, also in the middle of a task: it holds a copy of the folder's lock.
-    """
+    """Compute tasks in a copy, which ends with its process at once: it holds a copy of the folder's
+    lock."""
     ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -475,10 +473,7 @@ def _silence() -> None:
 
 
 def _connected(cluster: Any) -> Any:
-    """Return a client of `Pool.workers_here`, or of a `Pool.Scheduler`.
-
-    Raises an `InputError` where the scheduler can't be reached, or doesn't accept the certificate.
-    """
+    """Return a client of `Pool.workers_here` or of a scheduler; `InputError` where that fails."""
     from distributed import Client
     from distributed.security import Security
 

@@ -465,8 +465,7 @@ class Bench:
         return self._rigs[key]
 
     def _tabled(self, paper: str, given: Mapping[str, Any]) -> bool:
-        """Return whether loads on this sensor are products with a table of its body, which all
-        entries share."""
+        """Return whether loads on this sensor are products with the table of its body."""
         changed = {key.split(".")[0] for key in given} & {"tolerance", "body", "material"}
         own = given["seed"] == self.seed and not changed
         return paper in TABLED and not self.quick and own
@@ -624,8 +623,8 @@ class Chain:
 
 
 def _without_depth(rig: Rig) -> Calibration:
-    """Return the half-space calibration whose camera doesn't see motion along z (before Kamiyama's
-    section 2.5)."""
+    """Return the half-space calibration whose camera doesn't see motion along z (Kamiyama, before
+    2.5)."""
     from twin.sense.transfer import from_compliance
 
     scene = rig.scene

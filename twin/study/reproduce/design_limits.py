@@ -121,8 +121,8 @@ DEFAULT = "inverse: smooth, as scenes have it"
 
 
 def _along_x(found: Field, *, magnitude: bool = False) -> tuple[Floats, Floats]:
-    """Return x, mm, and the push or the magnitude, N, on the row of sites nearest to y = 0, two
-    rows averaged."""
+    """Return x, mm, and the push or the magnitude, N, on the sites nearest to y = 0, two rows
+    averaged."""
     y = np.abs(found.site_mm[:, 1])
     row = y < y.min() + 1e-6
     x = np.unique(found.site_mm[row, 0].round(6))
@@ -140,8 +140,8 @@ def _point_width_mm(bench: Bench, chain: Chain, trial: Trial = ONCE) -> float:
 
 
 def _two_points_mm(bench: Bench, chain: Chain, trial: Trial = ONCE) -> float:
-    """Return the least distance of two narrow forces with a dip of a fifth between them, mm; else
-    the largest."""
+    """Return the least distance, mm, of two narrow forces with a dip of a fifth; else the
+    largest."""
     for number, apart in enumerate(DISTANCES_MM):
         ends = (-apart / 2, apart / 2)
         x, push = _along_x(chain.narrow(bench, ends, FORCE_N, 70 + number, trial))
@@ -152,15 +152,13 @@ def _two_points_mm(bench: Bench, chain: Chain, trial: Trial = ONCE) -> float:
 
 
 def _shift_noise_px(bench: Bench, chain: Chain) -> float:
-    """Return the standard deviation of a shift per axis between two pictures at rest, px; robust to
-    lost markers."""
+    """Return the standard deviation of a shift per axis between two pictures at rest, px."""
     rig = chain.rig(bench)
     return rig.track(rig.picture(None, 55), chain.tracker).scatter_px
 
 
 def _limit_of(rig: Rig, noise_px: float) -> Limit:
-    """Return the closed-form limit of a sensor's nominal design at a tracker's noise, for discs of
-    1 mm radius."""
+    """Return the closed-form limit of a nominal design at a tracker's noise."""
     material, layers = rig.scene.material, rig.scene.markers
     scale = np.linalg.norm(rig.image_scale[:, 0, :2], axis=1)
     markers = rig.sensor.actual.markers
@@ -190,8 +188,7 @@ def _limits(
 
 
 def _limit_numbers(limit: Limit) -> Numbers:
-    """Return the closed-form limits of a design as numbers of their own: no run, so they explain
-    nothing."""
+    """Return a design's closed-form limits as numbers of their own."""
     return {
         Quantity("closed-form limit of the least distance of two forces", "mm"): float(
             limit.two_point_mm[0]
@@ -316,8 +313,7 @@ def _narrow_forces(bench: Bench, chains: Mapping[str, Chain]) -> Panel:
 
 
 def _half_space(bench: Bench) -> Entry.Outcome:
-    """Compare the marker motion of the papers' formula with the real block's, for equal material
-    and load."""
+    """Compare the papers' formula with the real block, for equal material and load."""
     rig = bench.rig("kamiyama", overrides={"tolerance.preset": "none"})
     markers = rig.sensor.nominal_markers
     points = markers.points
@@ -416,8 +412,7 @@ def _bars(title: str, across: str, values: Mapping[str, float], limits: list[flo
 def _frame_seconds(
     rig: Rig, pictures: list[Picture], count: int, chain: Chain, before_px: Floats
 ) -> Floats:
-    """Return (count,) CPU seconds from frames that have arrived to their force fields, with the
-    paper's calibration and tracking from the frame before, after a few that don't count."""
+    """Return (count,) CPU seconds from frames to force fields, tracked from the frame before."""
     rest = rig.rest(chain.tracker)
     how = rig.calibration
     seconds = np.zeros(WARM + count)
@@ -585,8 +580,7 @@ def _resolution_gf(bench: Bench, press: Press, chain: Chain, trial: Trial) -> fl
 
 
 def _rate_hz(bench: Bench, press: Callable[[Rig], Press], chain: Chain) -> float:
-    """Return the median frames a second from a frame that has arrived to its force field, on one
-    thread."""
+    """Return the median frames a second from a frame to its force field, on one thread."""
     rig = chain.rig(bench)
     picture = rig.picture(rig.motion(rig.press(press(rig)).load), 90)
     found = rig.track(picture, chain.tracker)
@@ -597,8 +591,7 @@ def _rate_hz(bench: Bench, press: Callable[[Rig], Press], chain: Chain) -> float
 
 
 def _same_hardware(bench: Bench, hardware: _Hardware) -> Entry.Outcome:
-    """Compare this project's inverse `local` with the paper's software, with the default inverse,
-    and with an industrial camera."""
+    """Compare `local` with the paper's software, the default inverse, and an industrial camera."""
     ours, shift = hardware.ours, hardware.shift
     paper = ours.paper
     press = next(iter(hardware.presses.values()))

@@ -78,8 +78,8 @@ PAPER = Chain(paper="sato", method="pinv")
 
 
 def _ways(bench: Bench) -> dict[str, Chain]:
-    """Return the paper's chain with one cause switched off, by name; in the quick form it stays on
-    in the calibration."""
+    """Return the paper's chain with one cause off, by name; the quick form leaves the calibration
+    as is."""
     too = "" if bench.quick else ", in the calibration too"
     return {
         f"noise of the picture off{too}": replace(PAPER, overrides=QUIET, calibrated_by=QUIET),
@@ -89,8 +89,7 @@ def _ways(bench: Bench) -> dict[str, Chain]:
 
 
 def _weighed(deviation_n: float) -> Chain:
-    """Return the paper's chain with another force sensor, in the calibration too, and with the
-    compression that Table I wants."""
+    """Return the paper's chain with another force sensor, and with the compression of Table I."""
     cell = {"calibration.load_cell_n": deviation_n, **COMPRESSED}
     return replace(PAPER, overrides=cell, calibrated_by=cell)
 
@@ -300,8 +299,8 @@ def _row(rig: Rig, along: int, across_mm: float) -> tuple[Ints, Floats]:
 def _spread(
     bench: Bench, place: str, along: int, step_mm: float, chain: Chain, trial: Trial
 ) -> tuple[Floats, Floats]:
-    """Press between two calibrated points and read the sites of their row: the distances from the
-    press, mm, and the magnitudes over their largest, of all presses."""
+    """Press between two calibrated points; return distances of a row's sites, mm, and their
+    magnitudes."""
     rig = chain.rig(bench, trial)
     start = PLACES[place]
     inward = -1.0 if place == "edge" and along == 0 else 1.0
@@ -319,8 +318,8 @@ def _spread(
 
 
 def _dip(bench: Bench, chain: Chain, apart_mm: float) -> float:
-    """Return how far the magnitude drops between two presses at once along x, over the lower peak;
-    their tractions add."""
+    """Return how far the magnitude drops between two presses at once along x, over the lower
+    peak."""
     rig = chain.rig(bench)
     presses = [
         sphere_press(rig.above((x, 0.0)), FORCE_GF / 2) for x in (apart_mm / 2, -apart_mm / 2)
@@ -391,8 +390,7 @@ def _figure_9(bench: Bench) -> Entry.Outcome:
 
 
 def _on_the_jump(records: Sequence[Record]) -> str:
-    """Return whether the jump goes with the pseudo-inverse, as the paper has it; means over places
-    and directions."""
+    """Return whether the jump goes with the pseudo-inverse; means over places and directions."""
     jumps = [record for record in records if "jump" in record.quantity.name]
     had = float(np.mean([record.twin for record in jumps]))
     left = {

@@ -99,8 +99,8 @@ def _pillar_press(force_n: float, edge_mm: float = 0.0) -> Press:
 
 
 def _causes(bench: Bench, chain: Chain, block: str) -> dict[str, Chain]:
-    """Return a chain with one cause switched off, by name: the paper's tracker becomes this
-    project's, and this project's the paper's; ``block`` names what becomes of the finite block."""
+    """Return a chain with one cause off, by name; trackers change sides, ``block`` is that of the
+    block."""
     tracker = {OUR_TRACKER_INSTEAD: replace(chain, tracker=OUR_TRACKER)}
     if chain.tracker == OUR_TRACKER:
         tracker = {PAPERS_TRACKER: replace(chain, tracker="two-pass")}
@@ -139,8 +139,7 @@ def _figure_6(bench: Bench) -> Entry.Outcome:
 
 
 def _pitch_px(rig: Rig, name: str, at: Floats) -> float:
-    """Return the mean distance of neighbours in a layer's grid, px, from the tracked rest
-    places."""
+    """Return the mean distance of neighbours in a layer's grid, px."""
     layer = rig.scene.markers[name]
     grid = at.reshape(layer.columns, layer.rows, 2)
     steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).ravel() for axis in (0, 1)]
@@ -148,8 +147,8 @@ def _pitch_px(rig: Rig, name: str, at: Floats) -> float:
 
 
 def _radial_share(found: Found) -> float:
-    """Return the share of the red layer's squared shifts that points away from, or towards, the
-    middle of the picture."""
+    """Return the share of the red layer's squared shifts along the way from the picture's
+    middle."""
     mine = (found.layer == "red") & found.seen
     away = found.rest_px[mine] - found.rest_px[found.seen].mean(axis=0)
     shift = found.shift_px[mine]
@@ -216,8 +215,8 @@ def _strongest_mm(found: Field) -> float:
 
 
 def _profile(found: Field, half_band_mm: float) -> tuple[Floats, Floats]:
-    """Return x, mm, and the force along z by column of sites, N, added over the rows within
-    ``half_band_mm`` of y = 0."""
+    """Return x, mm, and the force along z by column of sites within ``half_band_mm`` of y = 0,
+    N."""
     x = np.unique(found.site_mm[:, 0].round(6))
     band = np.abs(found.site_mm[:, 1]) <= half_band_mm
     near = [band & (np.abs(found.site_mm[:, 0] - at) < 1e-3) for at in x]
@@ -287,8 +286,8 @@ def _figure_13(bench: Bench) -> Entry.Outcome:
 
 
 def _ways(bench: Bench, **options: bool) -> dict[str, Chain]:
-    """Return the paper's way with one cause switched off, by name, and all of this project's
-    software at last."""
+    """Return the paper's way with one cause off, by name, and all of this project's software at
+    last."""
     return {
         **_causes(bench, DIFFERENCE, KNOWN_BLOCK),
         "inverse: the least norm instead of the least norm of differences": NORM,
@@ -380,8 +379,7 @@ def _twist_numbers(radius_mm: float, shot: Shot) -> Numbers:
 
 
 def _turning_share(found: Field, radius_mm: float) -> float:
-    """Return the share of the squared tangential forces under the pillar that lies along circles
-    about z."""
+    """Return the share of the squared tangential forces under the pillar along circles about z."""
     distance = np.hypot(found.site_mm[:, 0], found.site_mm[:, 1])
     under = (distance < radius_mm) & (distance > 0)
     x, y = (found.site_mm[under, :2] / distance[under, None]).T
@@ -419,8 +417,8 @@ def _figure_16(bench: Bench) -> Entry.Outcome:
         compare: Sequence[tuple[str, str, bool]] = COMPARED,
         reach: float = np.inf,
     ) -> dict[str, list[float]]:
-        """Return the cosines by what is compared, of every distance of the two impulses; markers
-        within ``reach`` of the push along x."""
+        """Return the cosines by what is compared, of every distance, of markers within ``reach``
+        along x."""
         rig, push, pairs = filmed(chain, trial)
         points = rig.sensor.nominal_markers.points
         on_axis = np.abs(points[:, 1]) < AXIS_MM
@@ -483,8 +481,7 @@ def _figure_17(bench: Bench) -> Entry.Outcome:
     depths = DEPTHS_MM[1::2] if bench.quick else DEPTHS_MM
 
     def fields(chain: Chain, depths_mm: tuple[float, ...]) -> _Fields:
-        """Return (2n,) tracked movements of the red layer, mm at the markers, by axis of the
-        impulse and depth."""
+        """Return (2n,) tracked movements of the red layer, mm, by axis of the impulse and depth."""
         found: _Fields = {}
         for depth in depths_mm:
             fewer = {"markers.red.depth_mm": depth, "markers.red.columns": 13}

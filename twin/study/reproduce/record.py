@@ -85,10 +85,8 @@ Interval = tuple[float, float]
 def _agreeing(
     values: Sequence[float], numbers: Sequence[float], paper: float, tolerance: float
 ) -> tuple[Interval, ...]:
-    """Return the intervals of values whose numbers lie within a tolerance of the paper's, rising.
-
-    Between the values that were run, numbers lie on straight lines.
-    """
+    """Return intervals of values whose numbers, on straight lines between runs, are near the
+    paper's."""
     found: list[Interval] = []
     for start, end, one, other in zip(
         values[:-1], values[1:], numbers[:-1], numbers[1:], strict=True

@@ -67,10 +67,8 @@ def _listing() -> list[str | tuple[str, Table]]:
 
 
 def _chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
-    """Return the entries that ``names`` mean (``all``, a paper, entries) in the papers' order.
-
-    The quick form leaves long ones out unless they are named. An unknown name raises InputError.
-    """
+    """Return the entries that names mean, in the papers' order; the quick form leaves long ones to
+    their name."""
     wanted: set[str] = set()
     for name in names:
         found = [key for key in ENTRIES if name in ("all", key, key.split("/")[0])]
@@ -86,8 +84,7 @@ def _chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Reproduced:
-    """A reproduction in its folder: lines for the terminal, those of entries with a record, and
-    the entries that could not be finished, with the reason."""
+    """Lines for the terminal, those of entries with a record, and reasons of unfinished entries."""
 
     lines: Sequence[str | tuple[str, Table]]
     failed: dict[str, str]

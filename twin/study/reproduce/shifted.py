@@ -94,8 +94,8 @@ def _compared(
     ranged: bool = False,
     label: str = "",
 ) -> tuple[list[Record], list[Found]]:
-    """Return records and runs of the test, by default with the paper's tracker; where ``ranged``,
-    over what isn't printed of the capture chain too."""
+    """Return records and runs of the test; where ``ranged``, over what isn't printed of the
+    capture, too."""
     ranges = {BALANCE: _balanced} if protocol is KAMIYAMA else {QUALITY: _compressed}
     # A picture displaced in the computer holds one frame and its noise twice.
     ranged &= not bench.quick and not (protocol is KAMIYAMA and way == "digital")

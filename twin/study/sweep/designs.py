@@ -172,11 +172,8 @@ def _unit(sweep: Sweep) -> Floats:
 
 
 def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
-    """Refuse, all at once, axes and derived keys that the scene does not have; ``where`` is the
-    sweep's file.
-
-    A number that is not allowed is its design's failure; what is no number is the sweep's.
-    """
+    """Refuse axes and derived keys that the scene doesn't have, and values that are no number, all
+    at once."""
     table = SceneTable.of(scene)
     filled = copy.deepcopy(table)
     problems = []
@@ -214,8 +211,7 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
 
 
 def _wrong_words(sweep: Sweep, table: SceneTable, name: str, key: str) -> list[str]:
-    """Return the scene's problems with an axis's texts and lists, which may stand where it takes a
-    number."""
+    """Return the scene's problems with texts and lists of an axis."""
     axis = sweep.axes.get(name)
     found = []
     for value in axis.values if isinstance(axis, Sweep.Values) else ():
@@ -230,8 +226,8 @@ def _wrong_words(sweep: Sweep, table: SceneTable, name: str, key: str) -> list[s
 
 
 def _kept_count(count: int, pitch_mm: float, new_pitch_mm: Floats) -> Floats:
-    """Return how many markers at another pitch are about as wide as ``count`` were: of the same
-    parity, at least 1."""
+    """Return how many markers at another pitch are about as wide as ``count`` were, of the same
+    parity."""
     more = np.rint(((count - 1) * pitch_mm / new_pitch_mm - (count - 1)) / 2)
     return np.asarray(np.maximum(count + 2 * more, 1 + (count - 1) % 2))
 

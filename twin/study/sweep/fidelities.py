@@ -158,8 +158,8 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
 
 
 def _axis_scale(designs: Designs, depth_mm: Floats) -> Floats:
-    """Return (m,) px/mm across the optical axis at depths: focal length over apparent distance
-    (Snell, paraxial)."""
+    """Return (m,) px/mm on the axis at depths: focal length over apparent distance (Snell,
+    paraxial)."""
     scene = designs.scene
     camera, _ = scene.imaging
     base_z = designs.numbers("body.thickness_mm", scene.body.base_z_mm)
@@ -247,8 +247,7 @@ def _noise_of(scene: Scene, view: View, sweep: Sweep) -> Floats:
 
 
 def _seeded(scene: Scene, number: int) -> Scene:
-    """Return a design with the seed of its made sensor ``number``; number 0 is that of ``twin
-    run``."""
+    """Return a design with the seed of its made sensor ``number``, 0 being that of ``twin run``."""
     return scene if number == 0 else scene.model_copy(update={"seed": scene.seed + number})
 
 
@@ -258,8 +257,7 @@ def _standard_error(values: Floats) -> float:
 
 
 class _Profiles:
-    """Profiles of the push along s and t through the middle, from (k, 3, loads) forces at the
-    sites."""
+    """Profiles of the push along s and t through the middle, from (k, 3, loads) forces at sites."""
 
     def __init__(self, scene: Scene, sites: Rectangles, force: Floats) -> None:
         grid = scene.inverse.sites
@@ -320,8 +318,8 @@ class _Information:
         return [c.data.T @ (c.fold.T @ data) for c in self.classes]
 
     def spectrum(self, reduced: Sequence[Floats], energy: float) -> Factors.Spectrum:
-        """Return the spectrum to expect on average over loads and noise; ``energy`` is the mean of
-        |d|^2 over noise-free data, and ``reduced`` is theirs."""
+        """Return the spectrum to expect; ``energy`` is the mean of |d|^2 over noise-free data,
+        ``reduced`` theirs."""
         squared = np.concatenate([c.squared for c in self.classes])
         measured = np.concatenate([np.mean(b**2, axis=1) for b in reduced])
         seen = squared > LEAST * squared.max(initial=0.0)
@@ -356,11 +354,9 @@ class _Information:
 def _information(
     scene: Scene, view: View, noise: Floats, used: Bools, sites: Rectangles, bodies: Bodies
 ) -> _Information:
-    """Factorise a design's whitened transfer matrix, class by class.
-
-    A column of the data's basis holds one marker and its mirror images. By symmetry the row of the
-    first of them, times the root of their number, is the row of the whole column.
-    """
+    """Factorise a design's whitened transfer matrix, class by class: a column of the data's basis
+    holds one marker and its mirror images, and its row is that of the first times the root of their
+    number."""
     method, grid = scene.inverse.method, scene.inverse.sites
     layers = tuple((layer.columns, layer.rows) for layer in scene.markers.values())
     signs = list(product(*((1, -1) if mirror else (0,) for mirror in _mirrors(scene))))
@@ -420,8 +416,8 @@ def _even_or_odd(count: int, sign: int) -> Any:
 
 @lru_cache(maxsize=256)
 def _basis(grid: tuple[int, int], components: int, signs: _Signs) -> Any:
-    """Return the (points x components, r) basis of vector fields of a class on a grid of (columns,
-    rows); the component along a mirrored axis changes its sign."""
+    """Return the (points x components, r) basis of vector fields of a class on a (columns, rows)
+    grid."""
     flips = ((-1, 1), (1, -1), (1, 1))[:components]
     parts = []
     for component, flip in enumerate(flips):
@@ -452,8 +448,7 @@ def _force_basis(grid: tuple[int, int], method: Method, signs: _Signs) -> tuple[
 
 
 def _weight(wanted: Scene.Reconstruction, spectrum: Factors.Spectrum, mean_noise: float) -> float:
-    """Return the whitened weight of the sensor's software; ``mean_noise``, px, is for one that the
-    scene gives in px^2/N^2."""
+    """Return the software's whitened weight; ``mean_noise``, px, is for one given in px^2/N^2."""
     if not METHODS[wanted.method].weighted:
         return 0.0
     if isinstance(wanted.weight, str):
@@ -576,8 +571,8 @@ class _Seen:
 
 @dataclass(kw_only=True)
 class _Spent:
-    """CPU seconds of one made sensor's steps: until its rest picture is known, and of every zero,
-    load's light, and exposure of a load."""
+    """CPU seconds of a made sensor until its rest picture, and of every zero, load's light, and
+    exposure."""
 
     start: float = 0.0
     zeros: list[float] = field(default_factory=list)
@@ -594,10 +589,8 @@ class _Spent:
         return self._at - before
 
     def of(self, loads: int, exposures: int) -> float:
-        """Return the expected CPU seconds of so many loads, with so many exposures of each.
-
-        The first light and exposure cost more than others: what all share is prepared there.
-        """
+        """Return the CPU seconds of loads with exposures of each; the first ones prepare what all
+        share."""
         return (
             self.start
             + exposures * self.zeros[-1]

@@ -312,10 +312,8 @@ class Bodies:
 
 
 def _halton(count: int, rng: np.random.Generator) -> Floats:
-    """Return (count, 3) points of a Halton sequence with permuted digits (A. Owen 2017).
-
-    The numbers are those of `scipy.stats.qmc.Halton`, which takes half a second to import.
-    """
+    """Return (count, 3) points of `scipy.stats.qmc.Halton` (A. Owen 2017), whose import takes half
+    a second."""
     points = np.zeros((count, 3))
     own = rng.spawn(1)[0]
     for axis, base in enumerate((2, 3, 5)):

@@ -27,8 +27,8 @@ MOST = 5
 
 
 def _write_best(done: Swept, folder: Path) -> dict[int, Path]:
-    """Write ``best/01-design-<number>.toml`` and so on, the best first, and return the file of each
-    design's scene by number."""
+    """Write ``best/01-design-<number>.toml`` and so on, the best first; return the files by
+    number."""
     make_folder(folder / "best")
     for old in (folder / "best").glob("*.toml"):
         old.unlink()
@@ -81,8 +81,8 @@ FIGURES = {
 
 
 def _best_records(done: Swept) -> list[dict[str, Any]]:
-    """Return the best designs: number, swept values, metrics at their best fidelity, and the last
-    fidelity."""
+    """Return number, swept values, metrics at their best fidelity and last fidelity of the best
+    designs."""
     numbers = done.order[:MOST].tolist()
     records = [{"design": number, **done.designs.values(number)} for number in numbers]
     for name in FIGURES:
@@ -130,11 +130,9 @@ EXPLAINED = ("two_point_mm", "fwhm_mm", "resolution_gf")
 
 
 def _sensitivities(done: Swept) -> list[tuple[str, str, float, float, float]]:
-    """Return for every metric and axis the Sobol' indices of log(metric) by the closed form (first
-    and total), and the rank correlation over the designs, NaN for lists of texts.
-
-    Designs that are dropped take the metric's mean, so that they add nothing to its variance.
-    """
+    """Return by metric and axis the first and total Sobol' index of log(metric) by the closed form,
+    where dropped designs take the mean, and the rank correlation over the designs; NaN for
+    texts."""
     from scipy.stats import sobol_indices, uniform
 
     sweep, scene = done.designs.sweep, done.designs.scene
@@ -322,8 +320,8 @@ def _fronts(done: Swept) -> list[str]:
 def _front(
     names: tuple[str, str], x: Floats, y: Floats, on_front: Bools, target: tuple[float, float]
 ) -> str:
-    """Return the drawing (HTML) of (m,) designs by two metrics; NaN in ``target`` where nothing is
-    wanted."""
+    """Return the drawing (HTML) of (m,) designs by two metrics; NaN in ``target`` where there is
+    none."""
     # a few hopeless designs must not press all others into a corner
     ends = [(float(v.min()), float(np.quantile(v, 0.95))) for v in (x, y)]
     targets = [
@@ -392,11 +390,8 @@ def _maps(done: Swept) -> list[str]:
 def _map(
     over: Sequence[tuple[str, Floats]], label: str, value: Floats, limit: Floats, target: float
 ) -> str:
-    """Return a map (HTML) of a metric over two axes: its median in every bin, and the borders.
-
-    ``over`` are names and (m,) values of the axes, ``limit`` the (m,) metric by the design limit,
-    ``target`` where the borders are, NaN for none. Empty where there is one bin only, or no value.
-    """
+    """Return a map (HTML) of a metric's median over two axes, and the borders where it and its
+    closed-form ``limit`` (m,) reach ``target``, NaN for none; empty without bins or values."""
     (across, x), (up, y) = over
     across, up = _axis_name(across), _axis_name(up)
     edges = [_edges(v) for v in (x, y)]

@@ -75,9 +75,8 @@ SHOWN = ("picture", "site_mm", "middle_n", "pair_n")
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of a task: ``status`` (ok, dropped or failed), ``error``, ``seconds`` and metrics of
-    every design; contents of npz files with what the report shows; and how often a compliance was
-    needed and prepared."""
+    """A task's rows (status, error, seconds, metrics), npz contents shown, and compliances needed
+    and made."""
 
     rows: list[Row]
     shown: list[bytes | None]
@@ -243,8 +242,8 @@ class Store(dict[str, Row]):
 
 @dataclass
 class _Runner:
-    """Runs designs of one sweep (`twin.study.batch.pool.Pool`), and keeps their rows; counts how
-    often a compliance was needed and prepared, and fresh rows."""
+    """Runs designs of one sweep and keeps their rows; counts compliances needed and made, and fresh
+    rows."""
 
     sweep: Sweep
     scene: Scene
@@ -581,8 +580,8 @@ def _put(
 
 
 def _coarse(done: Swept) -> tuple[Bools, list[str], list[str]]:
-    """Return which widths are only those of the sites; a warning where less is resolved than is
-    wanted, else a note."""
+    """Return which widths are only those of the sites, a warning where that is too wide, and else a
+    note."""
     none = np.full(len(done.designs), np.nan)
     found = done.columns.get("linear_two_point_mm", none)
     sites = done.columns.get("linear_sites_mm", none)
@@ -651,12 +650,9 @@ def _metric(columns: Mapping[str, Floats], name: str, upto: str = "full") -> Flo
 
 
 def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
-    """Return (m,) distances to the targets, the less the better: a weighted sum of log(metric /
-    target).
-
-    What is better than its target counts a tenth only, so that meeting all targets comes first.
-    Infinite where a metric is, or is missing.
-    """
+    """Return (m,) distances to the targets, a weighted sum of log(metric / target); infinite where
+    unknown. What is better than its target counts a tenth, so that meeting all targets comes
+    first."""
     parts = [np.full(len(next(iter(columns.values()), ())), np.inf)]
     for name, target in sweep.targets.items():
         values = _metric(columns, name)
@@ -670,8 +666,8 @@ def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
 
 
 def _optimised(designs: Designs, runner: _Runner) -> Designs:
-    """Return the designs that a search evaluated, ``count`` of them at most, the sweep's axes being
-    its bounds."""
+    """Return the designs that a search within the sweep's axes evaluated, ``count`` of them at
+    most."""
     from scipy.optimize import differential_evolution
 
     sweep, scene = designs.sweep, designs.scene
@@ -703,8 +699,7 @@ def _optimised(designs: Designs, runner: _Runner) -> Designs:
 def _descend(
     judged: Callable[[Floats], Floats], start: Floats, evaluated: list[Floats], most: int
 ) -> None:
-    """Go down the gradient from a design until nothing is gained or ``most`` designs have been
-    evaluated; a gradient takes one design more than there are axes."""
+    """Go down the gradient until nothing is gained or ``most`` designs have been evaluated."""
     from scipy.optimize import minimize
 
     width = len(start)
@@ -762,8 +757,8 @@ def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[str]:
 def _measured(
     sweep: Sweep, scene: Scene, stage: str, good: Ints, designs: Designs
 ) -> tuple[float, float, list[Row], str]:
-    """Return the CPU seconds of a design and of what comes before the first; the rows tried; how
-    they were tried. What has been measured once on this machine is read from the cache."""
+    """Return CPU seconds of a design and of the start, the rows tried and how, from the cache if it
+    has them."""
     full = stage == "full"
     tried = good[:: max(1, len(good) // TRIED)][: 1 if full else TRIED]
     values = [designs.values(int(n)) for n in (tried[0], *tried)]  # the first twice: it begins
