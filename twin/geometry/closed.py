@@ -188,17 +188,7 @@ surface open."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """A closed surface.
-
-    Attributes
-    ----------
-    vertices
-        (n, 3), mm.
-    triangles
-        (m, 3) indices, right-hand normals pointing out of the body.
-    volume_mm3
-        What it encloses.
-    """
+    """A closed surface: (n, 3) vertices, mm, and (m, 3) triangles with normals out of the body."""
 
     vertices: Points
     triangles: Ints
@@ -206,13 +196,8 @@ class Surface:
 
     @staticmethod
     def read(file: str, size_mm: tuple[float, float] = SIZE_MM) -> Surface:
-        """Return the checked surface of an STL file, which is kept while the file stays as it is.
-
-        Raises
-        ------
-        InputError
-            The file can't be read, or see `welded`.
-        """
+        """Return the checked surface of an STL file, kept while that stays as it is; `InputError`
+        where it can't be read, or see `welded`."""
         path = Path(file)
         try:
             state = path.stat()
@@ -224,14 +209,9 @@ class Surface:
 
     @staticmethod
     def welded(corners: Floats, name: str, size_mm: tuple[float, float] = SIZE_MM) -> Surface:
-        """Weld triangles (m, 3, 3) into a closed surface.
-
-        Raises
-        ------
-        InputError
-            The surface is too small or too large, open, wound both ways or inwards, in several
-            parts, or too thin; the message begins with ``name``.
-        """
+        """Weld triangles (m, 3, 3) into a closed surface; `InputError`, beginning with ``name``,
+        where it is too small or large, open, wound both ways or inwards, in several parts, or too
+        thin."""
         # Size: STL files carry no unit, so a wrong one shows here.
         size = float(np.max(np.ptp(corners.reshape(-1, 3), axis=0)))
         if not size_mm[0] <= size <= size_mm[1]:

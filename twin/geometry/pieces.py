@@ -60,8 +60,8 @@ class TriangleTree:
         self._locator.BuildLocator()
 
     def nearest(self, points: Points) -> tuple[Ints, Points, Ints]:
-        """Return for (n, 3) points the nearest triangle (n,), the nearest place (n, 3) and its
-        feature (n,): 0 the triangle's face, 1 to 3 its corners, 4 to 6 its edges 01, 12, 20."""
+        """Return for (n, 3) points the nearest triangle (n,), place (n, 3), and its feature (n,): 0
+        the face, 1 to 3 the corners, 4 to 6 the edges 01, 12, 20."""
         points = np.ascontiguousarray(points, np.float64)
         triangle = _nearest_triangles(points, self._corners, *self._boxes)
         return triangle, *_onto_triangles(points, self._corners[triangle])
@@ -91,9 +91,8 @@ class TriangleTree:
         return leaves, np.concatenate(boxes)
 
     def first_along(self, points: Points, along: Floats) -> tuple[Ints, Floats]:
-        """Return the triangle (n,) that whole lines through (n, 3) points along (n, 3) meet first,
-        -1 for none, and how many times ``along`` from the point (n,), which may be negative; inf
-        for none."""
+        """Return the triangle (n,) that whole lines through (n, 3) points meet first, -1 for none,
+        and how many times ``along`` (n, 3) from the point (n,), perhaps negative; inf for none."""
         from vtkmodules.vtkCommonCore import reference, vtkIdList, vtkPoints
 
         points, along = np.asarray(points, float), np.asarray(along, float)
@@ -270,15 +269,7 @@ rounded."""
 
 
 class Pieces:
-    """A closed surface whose triangles belong to pieces.
-
-    Parameters
-    ----------
-    surface
-        The closed surface.
-    piece
-        (m,) piece of every triangle, 0 to the number of pieces - 1.
-    """
+    """A closed surface whose triangles belong to pieces, (m,) from 0."""
 
     def __init__(self, surface: Surface, piece: Ints) -> None:
         self.surface = surface
@@ -333,9 +324,7 @@ class Pieces:
 
     def distances_and_normals(self, points: Points) -> tuple[Floats, Floats]:
         """Return (n, pieces) distances in mm, positive inside, and their (n, pieces, 3) gradients.
-
-        The latest result is kept, because distances and normals are mostly needed in turn.
-        """
+        The latest are kept, because both are mostly needed in turn."""
         points = np.ascontiguousarray(points, np.float64)
         if self._asked is not None and np.array_equal(self._asked[0], points):
             return self._asked[1:]
@@ -344,8 +333,8 @@ class Pieces:
         return distance, normal
 
     def from_pieces(self, points: Points, piece: Ints) -> tuple[Floats, Floats]:
-        """Return the distances (n,) of points (n, 3) from one piece (n,) each, and their gradients
-        (n, 3)."""
+        """Return distances (n,) of points (n, 3) from one piece (n,) each, and their gradients (n,
+        3)."""
         found = _Nearest.empty(len(points))
         for k in np.unique(piece).tolist():
             found.fill(piece == k, self._nearest(points[piece == k], k))
@@ -405,7 +394,7 @@ class Pieces:
         return found
 
     def from_below(self, xy: Floats) -> tuple[Ints, Points]:
-        """Return the piece (n,) met first by rays along +z at (n, 2) places, -1 for none, and the
+        """Return the piece (n,) that rays along +z at (n, 2) meet first, -1 for none, and the
         places (n, 3)."""
         points = np.column_stack([xy, np.zeros(len(xy))])
         up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
@@ -422,8 +411,7 @@ class Pieces:
         return np.where(met, self.piece[triangle], -1), points
 
     def edges(self, chosen: Bools) -> Points:
-        """Return the (e, 2, 3) ends of the edges between the ``chosen`` (pieces,) pieces and the
-        others."""
+        """Return the (e, 2, 3) ends of edges between the ``chosen`` (pieces,) and the others."""
         own = chosen[self.piece]
         others = {(int(b), int(a)) for a, b in _sides(self.surface.triangles[~own])}
         shared = [
@@ -434,8 +422,7 @@ class Pieces:
         return np.asarray(self.surface.vertices[np.array(shared, np.int64).reshape(-1, 2)])
 
     def dents(self, crease_deg: float) -> Points:
-        """Return the (e, 2, 3) ends of the edges at which the surface is folded inwards by more
-        than ``crease_deg``."""
+        """Return the (e, 2, 3) ends of edges folded inwards by more than ``crease_deg``."""
         face = self._outward[:, FACE]
         ends, outward, cosine, own, other = _folds(self.surface.triangles, self._corners, face)
         folded = cosine < np.cos(np.radians(crease_deg))
@@ -443,8 +430,8 @@ class Pieces:
 
     @staticmethod
     def smooth_parts(surface: Surface, chosen: Bools, crease_deg: float) -> Ints:
-        """Return (m,) numbers of the parts into which the ``chosen`` triangles fall at sharp edges,
-        -1 for the others."""
+        """Return (m,) parts into which ``chosen`` triangles fall at sharp edges, -1 for the
+        others."""
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import connected_components
 
@@ -465,8 +452,8 @@ class Pieces:
 
     @staticmethod
     def edge_angles(vertices: Points, triangles: Ints) -> tuple[Floats, Floats]:
-        """Return the angles (m, 3) inside a closed surface between triangles that share an edge,
-        deg, and the ends of these edges (m, 3, 2, 3)."""
+        """Return the inside angles (m, 3) at the edges of triangles, deg, and their ends (m, 3, 2,
+        3)."""
         corners = vertices[triangles]
         ends, outward, cosine, _, _ = _folds(triangles, corners, _face_normals(corners))
         turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))

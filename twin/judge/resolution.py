@@ -13,8 +13,8 @@ from twin.theory.limit import DIP
 
 
 def full_width(x: Floats, y: Floats, *, at_least: bool = False) -> float:
-    """Return the full width at half of the maximum of a sampled peak, crossings interpolated
-    linearly; NaN if open, or with ``at_least`` the length of the row."""
+    """Return the full width at half maximum of a sampled peak, crossings interpolated linearly; NaN
+    if open, or with ``at_least`` the length of the row."""
     top = int(np.argmax(y))
     half = 0.5 * float(y[top])
     open_width = float(x[-1] - x[0]) if at_least else float("nan")
@@ -30,18 +30,11 @@ def full_width(x: Floats, y: Floats, *, at_least: bool = False) -> float:
 
 
 def dip(x: Floats, y: Floats, apart: float) -> float:
-    """Return how far a profile falls between two equal pushes at -apart/2 and apart/2, over the
-    lower of the peaks.
+    """Return how far a profile, (n,) places rising and pushes, falls between two equal pushes at
+    -apart/2 and apart/2, over the lower of the peaks.
 
     Peaks are looked for within a quarter of the distance around their places; 0 where a place has
     none, or where nothing was sampled between them.
-
-    Parameters
-    ----------
-    x, y
-        (n,) places, rising, and pushes, in any unit.
-    apart
-        Distance of the two pushes, in the unit of x.
     """
     near = [np.abs(x - side * apart / 2) <= apart / 4 + 1e-9 for side in (-1, 1)]
     between = np.abs(x) < apart / 4 - 1e-9
@@ -52,14 +45,8 @@ def dip(x: Floats, y: Floats, apart: float) -> float:
 
 
 def two_point_distance(apart: Floats, dips: Floats) -> float:
-    """Return the least distance from which on all larger ones dip by `DIP`, interpolated; infinite
-    if none does.
-
-    Parameters
-    ----------
-    apart, dips
-        (n,) distances, rising, and the dips there. The first distance is the least answer.
-    """
+    """Return the least of (n,) rising distances, at least the first, from which on all dip by
+    `DIP`, interpolated; infinite if none does."""
     enough = dips >= DIP
     if not enough[-1]:
         return float("inf")

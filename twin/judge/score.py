@@ -325,10 +325,8 @@ def _field_errors(error: Floats, truth: Floats, frames: Floats | None) -> dict[s
 
 
 def into_cells(site_mm: Points, surface_mm: Points, surface_force_n: Floats) -> Floats:
-    """Return (k, 3) the surface forces summed into the cells of their nearest sites, N.
-
-    A piece on the border of cells is shared evenly, so that a symmetric press stays symmetric.
-    """
+    """Return (k, 3) the surface forces summed into the cells of their nearest sites, N; pieces on a
+    border are shared evenly, so that a symmetric press stays symmetric."""
     from scipy.spatial import cKDTree
 
     cells = np.zeros((len(site_mm), 3))

@@ -129,8 +129,8 @@ class Camera(Part):
             return self
 
         def lines(self, low: Sequence[float], high: Sequence[float]) -> Floats:
-            """Return the (count, 2, 2) ends of their middle lines between two corners, mm; both
-            ends of round ones are their middles."""
+            """Return the (count, 2, 2) ends of middle lines between two corners, mm; round ones
+            have one place."""
             rng = np.random.default_rng(self.seed)
             middles = rng.uniform(low[:2], high[:2], (self.count, 2))
             angle = rng.uniform(0, np.pi, self.count)
@@ -191,8 +191,8 @@ class Camera(Part):
 
     @property
     def is_plain(self) -> bool:
-        """Whether the lens is a pinhole or a thin one, its picture about its axis, without
-        distortion or vignetting."""
+        """Whether the lens is a pinhole or thin, about its axis, without distortion or
+        vignetting."""
         middle = ((self.width_px - 1) / 2, (self.height_px - 1) / 2)
         off = float(np.abs(np.subtract(self.centre_px, middle)).max())
         bent = self.lens != "pinhole" or any(self.distortion) or self.aspect != 1
@@ -225,18 +225,12 @@ class Camera(Part):
         return self.model_copy(update=changes)
 
     def tilt_matrix(self) -> Floats:
-        """Return the (3, 3) rotation from camera to body axes: turns about x, y and z, applied
-        in this order."""
+        """Return the (3, 3) rotation from camera to body axes: turns about x, then y, then z."""
         return _tilted(tuple(self.tilt_deg))
 
     def air_gap_mm(self, base_z_mm: float) -> float:
-        """Return the way from the last layer to the entrance pupil, mm.
-
-        Raises
-        ------
-        RecipeError
-            The pupil lies in front of the last layer.
-        """
+        """Return the way from the last layer to the pupil, mm; `RecipeError` where that lies in
+        front."""
         back = base_z_mm + sum(layer.thickness_mm for layer in self.layers)
         gap = self.pupil_mm[2] - back
         if gap < -1e-9:
@@ -371,14 +365,9 @@ class Light(Part):
         return np.array(self.colours or np.ones((len(self.positions_mm), 3)), float)
 
     def points(self) -> tuple[Points, Floats]:
-        """Return (n, 3) points that stand for the LEDs, mm, and their (n,) intensities in the
-        channel where each LED is brightest.
-
-        Notes
-        -----
-        A disc is seven points, its middle and a hexagon at sqrt(2/3) of the radius: exact for
-        polynomials of degree 5.
-        """
+        """Return (n, 3) points that stand for the LEDs, mm, and (n,) intensities in each LED's
+        brightest channel. A disc is its middle and a hexagon at sqrt(2/3) of the radius: exact for
+        degree 5."""
         places = np.array(self.positions_mm, float)
         power = self.powers.max(axis=1)
         if self.radius_mm == 0:
@@ -394,8 +383,8 @@ class Light(Part):
         return (places[:, None] + disc).reshape(-1, 3), shares.ravel()
 
     def tints(self) -> tuple[Floats, Floats]:
-        """Return (k, n) shares of the intensities of `points` by channel, and the (k,) mean colour
-        of the LEDs relative to their brightest channels; k = 1 for white LEDs."""
+        """Return (k, n) shares of `points`' intensities by channel, and the LEDs' (k,) mean colour
+        relative to their brightest channels; k = 1 for white LEDs."""
         colours = self.powers
         if np.ptp(colours, axis=1).max() == 0:
             colours = colours[:, :1]
@@ -662,8 +651,8 @@ class Ccd(Part):
         return self.model_copy(update={k: v for k, v in preset.items() if getattr(self, k) is None})
 
     def pixel_sd(self, counts: float) -> float:
-        """Return the standard deviation of a pixel of so many counts, counts: shot, read and
-        rounding noise."""
+        """Return a pixel's standard deviation at so many counts, counts: shot, read and rounding
+        noise."""
         own = self.spelt_out()
         gain = own.full_well_e / FULL_SCALE
         return float(np.sqrt((counts * gain + own.read_noise_e**2) / gain**2 + 1 / 12))

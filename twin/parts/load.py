@@ -88,13 +88,8 @@ class Rectangles:
 
     @staticmethod
     def on_surface(body: Body, chart: Chart, half_mm: float, key: str) -> Rectangles:
-        """Return squares of a half side at (k, 2) surface coordinates, under no force.
-
-        Raises
-        ------
-        RecipeError
-            A place lies outside the sensing surface; the message begins with ``key``.
-        """
+        """Return squares of a half side at (k, 2) surface coordinates, under no force;
+        `RecipeError`, beginning with ``key``, where one lies outside the sensing surface."""
         points = body.chart_points(chart)
         if not body.contains(points, -1e-6).all():
             raise RecipeError(

@@ -113,15 +113,8 @@ class MarkerLayer(Part):
         cover: Cover | None,
         shortfall: float,
     ) -> list[str]:
-        """Return what keeps stiff layers from being corrected, one line each.
-
-        Parameters
-        ----------
-        body, layers, material, cover
-            The sensor as designed.
-        shortfall
-            By how much the made rubber's Poisson's ratio may fall below the designed one.
-        """
+        """Return what keeps stiff layers from being corrected, one line each; ``shortfall`` is by
+        how much the made rubber's Poisson's ratio may fall below the designed one."""
         stiff = {name: layer for name, layer in layers.items() if layer.stiff}
         if not stiff:
             return []
@@ -221,18 +214,8 @@ class MarkerSet:
     def place(
         body: Body, layers: Mapping[str, MarkerLayer], jitter_mm: Floats | None = None
     ) -> MarkerSet:
-        """Place every marker of ``layers`` in ``body``.
-
-        Parameters
-        ----------
-        jitter_mm
-            (n, 2) print errors along (s, t), mm; None for a perfect print.
-
-        Raises
-        ------
-        RecipeError
-            A marker sticks out of the body, or beads are wider than their pitch.
-        """
+        """Place every marker, with (n, 2) print errors along (s, t), mm; `RecipeError` where one
+        sticks out of the body, or beads are wider than their pitch."""
         if not layers:
             none = frozen(np.zeros((0, 3)))
             return MarkerSet(layer=np.zeros(0, "U1"), chart=none[:, :2], points=none, normals=none)

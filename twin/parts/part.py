@@ -86,8 +86,8 @@ that files stored under a hash of all keys stay valid."""
 
 
 def identity(value: Any) -> Any:
-    """Return a plain value as hashes take it, at every depth: without provenance, and without keys
-    that say nothing new (see `LATER`)."""
+    """Return a plain value as hashes take it: without provenance and keys that say nothing new
+    (`LATER`)."""
     if isinstance(value, dict):
         kept = {k: v for k, v in value.items() if k not in ("source", "assumed")}
         new = {
@@ -190,7 +190,7 @@ class Part(BaseModel):
         return type(value).model_fields if isinstance(value, Part) else ()
 
     def unsourced(self) -> list[str]:
-        """Return the keys that hold numbers given in the recipe and have neither ``source`` nor
+        """Return the keys that hold numbers of the recipe and have neither ``source`` nor
         ``assumed``."""
         if isinstance(self.source, str) or isinstance(self.assumed, str):
             return []
@@ -264,8 +264,7 @@ WORDS = {
 
 
 def in_words(error: Mapping[str, Any], field: FieldInfo | None = None) -> str:
-    """Return an error of the validation library in the words of a recipe; ``field`` describes the
-    key, whose list is the example."""
+    """Return a validation error in the words of a recipe; ``field``'s list is the example."""
     kind = str(error["type"])
     if kind == "tuple_type":
         return f"must be a list, such as {_example(field and field.annotation) or '[0, 0]'}"

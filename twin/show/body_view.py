@@ -32,21 +32,15 @@ OTHER = "#6a737c"
 
 @dataclass(frozen=True, kw_only=True)
 class BodyView:
-    """A body with its markers and its states in order, at least one.
-
-    (v, 3) corners and (t, 3) outward triangles at rest, (n, 3) markers, mm, with (n,) layer names,
-    and the radius of a marker by layer. With ``picking`` a click on the page gives the lines of a
-    recipe that pick the face there as a region of a body from a file.
-    """
+    """A body with its states in order: (v, 3) corners and (t, 3) outward triangles at rest, (n, 3)
+    markers, mm, with (n,) layer names, and radii by layer. With ``picking`` a click gives the
+    recipe's lines that pick a face of a body from a file."""
 
     @dataclass(frozen=True, kw_only=True)
     class Frame:
-        """One state, mm and MPa: v corners of the surface, n markers, k patches in contact.
-
-        ``name`` and ``said`` are the step's label and a sentence about it; ``patch_mm`` (k, 4, 3)
-        the patches' corners at rest and ``patch_displacement_mm`` (k, 3) how they moved; ``slip``
-        (k,) whether each slips on the probe.
-        """
+        """One state, mm and MPa: a label, a sentence, displacements of v corners and n markers, and
+        k patches in contact: (k, 4, 3) corners at rest, (k, 3) displacements, tractions, and (k,)
+        whether each slips."""
 
         name: str
         said: str
@@ -104,8 +98,7 @@ class BodyView:
 
     @staticmethod
     def require_window() -> None:
-        """Raise `MissingCapability` where no window can be opened: without a display, or an OpenGL
-        that draws."""
+        """Raise `MissingCapability` without a display, or an OpenGL that draws."""
         instead = "without --window a page is written that turns in any browser"
         if sys.platform == "linux" and not os.environ.get("DISPLAY"):
             raise MissingCapability(
@@ -129,10 +122,7 @@ class BodyView:
             )
 
     def show(self, picture: Path | None = None) -> None:
-        """Show a body until its window is closed, or draw its last step to a file ``picture``.
-
-        Sliders choose the step of the path and how many times larger displacements are shown.
-        """
+        """Show a body until its window is closed, or draw its last step to a file ``picture``."""
         import pyvista
 
         plotter: Any = pyvista.Plotter(

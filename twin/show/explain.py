@@ -50,20 +50,8 @@ class _Finding:
 
 
 def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
-    """Explain the numbers of a run.
-
-    Parameters
-    ----------
-    score
-        What ``score.json`` holds.
-    scene_toml
-        The run's resolved scene, for causes that lie in its design.
-
-    Returns
-    -------
-    A finding for every number that has a sentence, stage by stage; numbers that are not defined
-    have the reason as their sentence.
-    """
+    """Return a finding for every number of ``score.json`` that has a sentence; undefined ones have
+    their reason. Causes that lie in the design are read from the run's resolved scene."""
     reasons = score.get("reasons") or {}
     large_strain = _table(scene_toml, "material").get("law", "linear") != "linear"
     found = []
@@ -98,8 +86,8 @@ def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
 
 
 def one_layer(scene_toml: str) -> str:
-    """Return why the force into the surface is uncertain where a scene has one layer of markers in
-    nearly incompressible rubber; empty for any other."""
+    """Return why the force into the surface is uncertain with one layer of markers in nearly
+    incompressible rubber; empty for other scenes."""
     layers = _table(scene_toml, "markers")
     ratio = _table(scene_toml, "material").get("poisson_ratio")
     if not isinstance(ratio, int | float):

@@ -58,11 +58,8 @@ class Panel:
         levels: Mapping[str, float] | None = None,
         logarithmic: bool = False,
     ) -> Panel:
-        """Return the drawing of curves over one axis.
-
-        ``curves`` have (n,) x, (n,) y and a style as matplotlib has it, by default a line, by name;
-        ``levels`` are horizontal lines by name.
-        """
+        """Return the drawing of curves, (n,) x, (n,) y and a style of matplotlib's, by name;
+        ``levels`` are horizontal lines by name."""
 
         def draw(axes: Any) -> None:
             for label, curve in curves.items():
@@ -117,8 +114,8 @@ class Panel:
 
     @staticmethod
     def svg(panels: Sequence[Panel]) -> bytes:
-        """Return an SVG file of an entry's panels, for light and dark screens; the same panels give
-        the same bytes."""
+        """Return an SVG file of panels, for light and dark screens; equal panels give equal
+        bytes."""
         import matplotlib
         from matplotlib.figure import Figure
 

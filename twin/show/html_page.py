@@ -39,15 +39,15 @@ def finite(value: Any) -> float | None:
 
 
 def cleaned(numbers: Sequence[float], scale: float = 0.0) -> list[float]:
-    """Return the components of one vector with round-off (1e-9 of the largest, or of ``scale``) as
+    """Return a vector's components with round-off (1e-9 of the largest, or of ``scale``) as
     zero."""
     largest = max(scale, *(abs(n) for n in numbers))
     return [0.0 if abs(n) < 1e-9 * largest else n for n in numbers]
 
 
 def table(caption: str, heads: list[str], rows: list[tuple[str, list[str]]]) -> str:
-    """Return a table of numbers as HTML: ``heads`` over the columns, each row a name and its cells
-    (all HTML)."""
+    """Return a table as HTML: ``heads`` over the columns, each row a name and its cells (all
+    HTML)."""
     head = "".join(f'<th scope="col">{h}</th>' for h in heads)
     body = "".join(
         f'<tr><th scope="row">{name}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
@@ -107,17 +107,8 @@ def page(
     body: str = "",
     style: str = "",
 ) -> str:
-    """Return the whole page.
-
-    Parameters
-    ----------
-    title, verdict, alarms, scene
-        Plain text.
-    sections
-        Heading (plain text) and content (HTML) in order; those without content are left out.
-    body, style
-        More content (HTML) after the sections, and its style sheet.
-    """
+    """Return the whole page of plain texts, sections (a plain heading and HTML, left out where
+    empty), and more HTML, ``body``, with its style sheet."""
     parts = [
         f"<section><h2>{escape(heading)}</h2>{content}</section>"
         for heading, content in sections

@@ -41,11 +41,9 @@ noise."""
 
 @dataclass(frozen=True, kw_only=True)
 class Axes:
-    """A window of data coordinates, and the height of its drawing in view units.
-
-    A picture has its largest row at the ``bottom``, a map its smallest y: the direction of an axis
-    needs no other switch. The width is fixed by `VIEW` and the margins.
-    """
+    """A window of data coordinates, and its drawing's height in view units: a picture has its
+    largest row at the ``bottom``, a map its smallest y. The width is fixed by `VIEW` and the
+    margins."""
 
     left: float
     right: float
@@ -69,12 +67,9 @@ class Axes:
     def force_field(
         cls, sites: Floats, force: Floats, side: float, largest: float, per_cell: float
     ) -> tuple[Axes, str, str]:
-        """Return axes around (k, 2) sites, mm, colours of the (k, 3) forces, N, along z, and arrows
-        of those along x and y.
-
-        ``side`` of the square drawn for a site, mm; ``largest`` force of full colour, N;
-        ``per_cell`` force whose arrow is one cell long, N.
-        """
+        """Return axes around (k, 2) sites, mm, squares of a ``side`` coloured by (k, 3) forces
+        along z, N, full at ``largest``, and arrows of those along x and y, a cell long at
+        ``per_cell``."""
         (left, low), (right, high) = sites.min(axis=0), sites.max(axis=0)
         axes = Axes.equal(left - side, right + side, low - side, high + side)
         colours = axes.cells(sites, side, force[:, 2], largest)
@@ -92,17 +87,8 @@ class Axes:
         return (VIEW - LEFT - RIGHT) / abs(self.right - self.left)
 
     def drawing(self, content: str, across: str, up: str, label: str) -> str:
-        """Return the SVG of ``content`` with frame, ticks and axis names.
-
-        Parameters
-        ----------
-        content
-            What `arrows`, `cells` and the like returned.
-        across, up
-            Names of the axes, with units.
-        label
-            Words in place of the drawing for a reader who can't see it.
-        """
+        """Return the SVG of ``content``, of `arrows`, `cells` and the like, with frame, ticks and
+        axis names; ``label`` stands for it for a reader who can't see it."""
         height = self.height + TOP + BOTTOM
         floor = TOP + self.height
         right = VIEW - RIGHT
@@ -137,11 +123,8 @@ class Axes:
         )
 
     def arrows(self, tails: Floats, vectors: Floats, style: str) -> str:
-        """Return one path that holds all arrows.
-
-        ``tails`` and ``vectors`` (n, 2) are data coordinates and the (magnified) arrows; rows with
-        NaN are left out. ``style`` is the path's class.
-        """
+        """Return one path with the arrows ``vectors`` (n, 2) at ``tails`` (n, 2); rows with NaN are
+        left out."""
         known = np.isfinite(tails).all(axis=1) & np.isfinite(vectors).all(axis=1)
         starts = self.place(tails[known])
         ends = self.place(tails[known] + vectors[known])
@@ -191,11 +174,9 @@ class Axes:
         return f'<polyline class="{style}" points="{steps}"/>'
 
     def cells(self, centres: Floats, side: float, values: Floats, largest: float) -> str:
-        """Return a square for each of the (n, 2) ``centres``, the more opaque the larger its value.
-
-        Classes are ``push`` and ``pull`` by sign. Colour is opacity over the page's own background,
-        so that nothing looks like nothing in light and dark.
-        """
+        """Return a square for each of the (n, 2) ``centres``, ``push`` or ``pull`` by sign. Its
+        opacity over the page's background is its size, so that nothing looks like nothing in light
+        and dark."""
         half = side * self.per_unit / 2
         squares = []
         for (x, y), value in zip(self.place(centres).tolist(), values.tolist(), strict=True):

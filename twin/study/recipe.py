@@ -61,9 +61,8 @@ _SURFACE = (
 
 
 def read_recipe(path: Path) -> Table:
-    """Return a recipe file's table, its provenance spelt out by key; `RecipeError` or `InputError`
-    where it is not valid TOML, or can't be read.
-    """
+    """Return a recipe file's table, its provenance by key; `RecipeError` or `InputError` if
+    unreadable."""
     try:
         data = path.read_bytes()
     except OSError as problem:
@@ -625,8 +624,8 @@ def shipped_scenes() -> dict[str, Path]:
 
 
 def find_scene(scene: str | Path, what: str = "scene") -> Path:
-    """Return the file of a scene, or of a "sweep", by path or by the name of a shipped one; of a
-    sweep also without the name's first part."""
+    """Return the file of a scene, or of a "sweep", by path or shipped name, whose first part may be
+    left out."""
     if what == "scene" and scene and os.path.isdir(scene):
         raise InputError(
             f"{scene}: is a folder; give a scene file, such as {Path(scene) / 'scene.toml'}"

@@ -265,8 +265,7 @@ class Sensor:
 
     @cached_property
     def nominal_compliance(self) -> Compliance | CoveredCompliance:
-        """Compliance of the nominal body, on a mesh of its own: the sensor's software may use
-        it."""
+        """Compliance of the nominal body, on its own mesh: the sensor's software may use it."""
         from twin.world.elasticity.compliance import Compliance
 
         nominal, progress = self.nominal, self.progress
@@ -348,8 +347,8 @@ class Sensor:
         return load.strained
 
     def check_law(self, press: Press | None) -> None:
-        """Raise a RecipeError or InputError where `Material.law` doesn't solve a press, or, with
-        None, other loads."""
+        """Raise RecipeError or InputError where `Material.law` can't solve a press, or, with None,
+        other loads."""
         scene = self.actual.scene
         law = scene.material.law
         if law == "linear":
@@ -471,8 +470,8 @@ class Sensor:
 
     @cached_property
     def markers_strain(self) -> bool:
-        """Whether a layer strains with the body, is stiff, or has a texture, which turns, so that
-        pictures need the field's gradient."""
+        """Whether a layer strains with the body, is stiff, or has a texture, so that pictures need
+        gradients."""
         layers = self.actual.scene.markers.values()
         return any(each.kind == "print" or each.stiff or each.texture for each in layers)
 
@@ -705,8 +704,7 @@ class Sensor:
         return self.exposed(radiance, exposure), outlines
 
     def exposed(self, radiance: Singles, exposure: int, before: Singles | None = None) -> Picture:
-        """Return the CCD picture of light on the sensor; ``before`` is that of the field
-        before."""
+        """Return the CCD picture of light on the sensor; ``before`` is that of the field before."""
         from twin.world.picture.ccd import expose
 
         noise = Purpose.EXPOSURE.stream(self.nominal.seed, exposure)

@@ -67,8 +67,8 @@ class BondedLayer:
 
     @classmethod
     def of(cls, body: Body, poisson_ratio: float) -> BondedLayer | None:
-        """Return the endless layer that a flat body is a piece of; None for other bodies, and for
-        thick ones."""
+        """Return the endless layer that a flat body is a piece of; None for others, and thick
+        ones."""
         low, high = np.array(body.bounds_mm)
         thickness = body.layer_mm
         if thickness is None or np.max((high - low)[:2]) <= THICK * thickness:
@@ -96,8 +96,7 @@ class BondedLayer:
     def compliance(
         self, points: Points, rectangles: Rectangles, youngs_modulus_mpa: float
     ) -> Floats:
-        """Return (3 n, 3 k): v in mm/N at ``points`` under a unit force in x, y, z on each
-        rectangle."""
+        """Return (3 n, 3 k): v in mm/N at ``points`` under unit forces on each rectangle."""
         centre, spread = self._point_forces(rectangles)
         each = np.empty((3 * len(points), 3, len(centre)))
         _compliance(
@@ -114,9 +113,8 @@ class BondedLayer:
         return moved.reshape(len(each), -1) / self._shear(youngs_modulus_mpa)
 
     def tractions(self, points: Points, areas: Floats, load: Rectangles, columns: Floats) -> Floats:
-        """Return (n, 3, m) forces in N that v's stress exerts on surface elements at ``points`` of
-        area vectors ``areas`` (n, 3), mm2, under forces ``columns`` (k, 3, m), N, on the rectangles
-        in m load cases."""
+        """Return (n, 3, m) forces in N that v's stress exerts on areas (n, 3), mm2, at ``points``
+        under forces ``columns`` (k, 3, m), N, in m load cases."""
         slope, tension = self._slopes(points, load, columns)
         sheared = np.einsum("nijm,nj->nim", slope, areas) + np.einsum("njim,nj->nim", slope, areas)
         return np.asarray(sheared + tension[:, None] * areas[:, :, None])
@@ -203,8 +201,8 @@ class BondedLayer:
 
     @staticmethod
     def wave_motions(kz: Floats, nu: float) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-        """Return U and W, each for the decaying (q, 2) and growing (q, 2) waves, their exponentials
-        left out."""
+        """Return U and W, each for decaying (q, 2) and growing (q, 2) waves, without
+        exponentials."""
         one = np.ones_like(kz)
         bend = 3.0 - 4.0 * nu
         u = np.column_stack([one, kz - bend]), np.column_stack([one, -bend - kz])

@@ -74,8 +74,8 @@ def displacement(
 def compliance(
     points: Points, rectangles: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float
 ) -> Floats:
-    """Return the (3 n, 3 k) displacement in mm/N of ``points`` under a unit force in x, y, z on
-    each rectangle."""
+    """Return the (3 n, 3 k) displacement in mm/N of ``points`` under unit forces on each
+    rectangle."""
     out = np.empty((3 * len(points), 3 * len(rectangles)))
     _compliance(*_pairs(points, rectangles), 1.0 - 2.0 * poisson_ratio, out)
     out *= _scale(youngs_modulus_mpa, poisson_ratio)
@@ -85,9 +85,9 @@ def compliance(
 def normal_compliance(
     rectangles: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float
 ) -> Floats:
-    """Return the (k, k) normal displacement in mm/N of the centres of rectangles in one plane, with
-    frames along the axes, per unit normal force on each: the mean of 1 / r (Boussinesq; A. E. H.
-    Love, Phil. Trans. A 228 (1929))."""
+    """Return the (k, k) normal displacement in mm/N of the centres of rectangles in one plane,
+    frames along the axes, per unit normal force on each: the mean of 1 / r (Boussinesq; Love
+    1929)."""
     out = np.empty((len(rectangles), len(rectangles)))
     _normal(for_kernel(rectangles.centre_mm), for_kernel(rectangles.half_mm), out)
     out *= (1.0 - poisson_ratio**2) / (math.pi * youngs_modulus_mpa)
@@ -292,8 +292,7 @@ def _gradient(
 def rectangle_terms(
     x: float, y: float, z: float, a: float, b: float, k: float, u: Floats, n: Floats
 ) -> None:
-    """Set u (3, 3) and n (3,) to the mean over the rectangle -a..a by -b..b; a = b = 0 is a
-    point force."""
+    """Set u (3, 3) and n (3,) to the mean over -a..a by -b..b; a = b = 0 is a point force."""
     distance = x * x + y * y + z * z
     size = a * a + b * b
     if size == 0.0:
@@ -312,8 +311,7 @@ def rectangle_terms(
 def rectangle_slopes(
     x: float, y: float, z: float, a: float, b: float, k: float, d: Floats, n: Floats
 ) -> None:
-    """Set d (3, 3, 3), du_i/dx_m per unit force j, and n (3,) to the mean over the rectangle -a..a
-    by -b..b."""
+    """Set d (3, 3, 3), du_i/dx_m per unit force j, and n (3,) to the mean over -a..a by -b..b."""
     for i in range(3):
         n[i] = 0.0
         for j in range(3):

@@ -107,11 +107,8 @@ def dipole_displacement(
     own: np.ndarray | None = None,
 ) -> Points:
     """Return the (n, 3) displacement in mm of ``points`` under force dipoles (m, 3, 3), N mm, at
-    ``centres`` (m, 3).
-
-    ``own`` (n,) names for every point the centre of which only the reflection at the free surface
-    counts, -1 for none.
-    """
+    ``centres`` (m, 3). Of centre ``own`` (n,) only the free surface's reflection counts, -1 for
+    none."""
     out = np.zeros((len(points), 3))
     for some, k, slope in _slopes(points, centres, shear_modulus_mpa, own):
         out[some] += np.einsum("nmij,mj->ni", slope, dipoles[:, :, k])

@@ -26,16 +26,9 @@ _HOLDERS = (*PROVENANCE, "vary", "dataset")
 def with_values(
     scene: Scene, values: Mapping[str, Any], follows: Mapping[str, Distribution] | None = None
 ) -> Scene:
-    """Return the scene with other values at dotted keys, validated whole.
-
-    Numbers in a key are places in a list (``press.steps.1.force_n``). Of ``follows`` only the axes
-    that follow other keys count.
-
-    Raises
-    ------
-    RecipeError
-        A key is not there, or a value is not allowed.
-    """
+    """Return the scene with other values at dotted keys, in which numbers are places in a list
+    (``press.steps.1.force_n``); of ``follows`` only axes that follow others count. `RecipeError`
+    where a key is not there or a value not allowed."""
     table = SceneTable.of(scene)
     table.put(values, follows)
     made = validate_scene(table, "drawn scene")

@@ -89,9 +89,8 @@ half of dask's CPU time."""
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """What every worker needs: files' contents by relative path, and the function that computes a
-    task, as ``module:name``.
-    """
+    """What every worker needs: files' contents by relative path, and the function,
+    ``module:name``."""
 
     @dataclass(frozen=True)
     class Done:
@@ -186,13 +185,8 @@ class Pool:
         self._started.close()
 
     def run(self, job: Job, numbers: Iterable[int]) -> Iterator[Job.Done]:
-        """Compute tasks, in the order of their numbers, and yield them as they finish.
-
-        Raises
-        ------
-        InputError
-            The scheduler can't be reached.
-        """
+        """Compute tasks in the order of their numbers, and yield them as they finish; `InputError`
+        where the scheduler can't be reached."""
         waiting = deque(numbers)
         if self._cluster is None and waiting:
             if job.name not in self._folders:
@@ -206,8 +200,7 @@ class Pool:
 
     @staticmethod
     def end_if_too_long() -> None:
-        """Give up a first task in this process that takes long; tasks call it between their
-        parts."""
+        """Give up a first task here that takes long; tasks call it between their parts."""
         if time.process_time() > _limit_s[0]:
             raise _TooLong
 
@@ -268,8 +261,7 @@ class Pool:
     @contextmanager
     def workers_here(count: int) -> Iterator[Any]:
         """Start worker processes, which only peers with the key of this cluster reach, and stop
-        them in the end; `MissingCapability` where 127.0.0.1 can't be reached or there is no room
-        for them."""
+        them in the end; `MissingCapability` where 127.0.0.1 or room for them is missing."""
         import dask
         from distributed import LocalCluster
         from distributed.security import Security
@@ -516,12 +508,9 @@ def _outcome(numbers: list[int], future: Any) -> tuple[list[Job.Done], float | N
 
 @contextmanager
 def only_writer(folder: Path, lock: Path) -> Iterator[None]:
-    """Make a folder, and be the only process that writes into it, by an operating system's lock on
-    the empty file ``lock``; what a killed writer left half-written is removed.
-
-    The lock ends with its owner, however that ends. Raises an `InputError` where another process is
-    writing or the folder can't be written.
-    """
+    """Make a folder and be its only writer, by the operating system's lock on the empty file
+    ``lock``, which ends with its owner; remove what a killed writer left. `InputError` where
+    another process is writing or the folder can't be written."""
     make_folder(folder)
     make_folder(lock.parent)
     handle = _locked(lock)
@@ -583,8 +572,7 @@ COUNTED = ("arrays.py", "files.py", "geometry", "parts", "theory", "world", "stu
 
 
 def versions() -> dict[str, str]:
-    """Return what the bytes depend on: packages, Python, and a hash of this program's own
-    sources."""
+    """Return what the bytes depend on: packages, Python, and a hash of this program's sources."""
     found = {name: importlib.metadata.version(name) for name in PACKAGES}
     sha = hashlib.sha256()
     for name in COUNTED:

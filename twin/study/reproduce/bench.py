@@ -133,8 +133,7 @@ class Entry:
 
     @dataclass(frozen=True, kw_only=True)
     class Outcome:
-        """The results of an entry: its records, the drawings of its picture, and notes for the
-        page."""
+        """Records, the drawings of the picture, and notes for the page."""
 
         records: Sequence[Record]
         panels: Sequence[Panel] = ()
@@ -213,18 +212,15 @@ class Rig:
         return motion
 
     def half_space_motion(self, load: Load) -> Motion:
-        """Return how a load would move the actual markers, were the block a half-space: the papers'
-        formula as the world.
-
-        The markers are beads, so that their strain isn't needed.
-        """
+        """Return how a load would move the actual markers, beads, in a half-space: the papers'
+        formula."""
         points = self.sensor.actual.markers.points
         pieces = self.sensor.rectangles(load)
         compliance = half_space_compliance(self.sensor.actual.scene, points, pieces)
         return _unstrained((compliance @ pieces.force_n.ravel()).reshape(-1, 3))
 
     def shifted(self, shift_px: tuple[float, float]) -> Motion:
-        """Return the motion along x and y that moves every marker's centre by ``shift_px`` in the
+        """Return the motion along x and y that moves every marker by ``shift_px`` in the
         picture."""
         points = self.sensor.actual.markers.points
         wanted = self.sensor.project(points) + np.array(shift_px)
@@ -257,8 +253,7 @@ class Rig:
 
     @cached_property
     def calibration(self) -> Calibration:
-        """The calibration of the scene; one for all sensors of one drawing, if it is made from
-        that."""
+        """The scene's calibration; one for all sensors of one drawing, if it is made from that."""
         if self.scene.calibration.method == "sato":
             return calibration_of(self.sensor)
         drawing = self.scene.model_dump(mode="json", include=set(DRAWING))
@@ -278,8 +273,8 @@ class Rig:
         return float(x), float(y)
 
     def far_away(self) -> dict[str, Any]:
-        """Return overrides of a camera that sees almost in parallel, at the same scale; its tilt
-        moves the view as much."""
+        """Return overrides of a camera that sees almost in parallel, at equal scale and effect of
+        tilt."""
         camera, body = self.scene.imaging[0], self.scene.body
         x, y, z = camera.pupil_mm
         away = FAR * (z - body.base_z_mm)
@@ -290,8 +285,8 @@ class Rig:
         }
 
     def rest_numbers(self, paper_px: float | None = None, near: float | None = None) -> Numbers:
-        """Return the width of markers in the picture at rest, which a paper may print, and the
-        share of them that is found."""
+        """Return the width of markers in the picture at rest, and the share of them that is
+        found."""
         rest = self.rest(OUR_TRACKER)
         width = Quantity("width of a marker in the picture", "px", paper=paper_px, near=near)
         return {
@@ -348,8 +343,8 @@ class Bench:
 
     @property
     def validity(self) -> str:
-        """What the mesh, and linear theory in the hardest press, cost in the present entry; empty
-        without a load."""
+        """What mesh and linear theory cost in the present entry's hardest press; empty without a
+        load."""
         words = []
         if self._least_exact:
             words.append(
@@ -376,8 +371,8 @@ class Bench:
             self._progress(f"{self._entry} {what}".strip(), self._done)
 
     def trials(self, paper: str, *, pressed: bool = True, count: int = MADE) -> tuple[Trial, ...]:
-        """Return the runs over which a number's spread is taken: made sensors, or exposures of one
-        where a probe touches the finger (``pressed``)."""
+        """Return the runs of a spread: made sensors, or exposures of one where the finger is
+        ``pressed``."""
         if self.quick:
             return (Trial(seed=self.seed),)
         if paper == "sato" and pressed:
@@ -445,8 +440,7 @@ class Bench:
     @staticmethod
     @cache
     def sensor_hash(paper: str) -> str:
-        """Return the hash of a paper's resolved sensor: what is built, without press, software and
-        seed."""
+        """Return the hash of a paper's resolved sensor, without press, software and seed."""
         return _hash(load_scene(SCENES[paper]))
 
     def rig(
@@ -500,8 +494,7 @@ def _hash(scene: Scene) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """One of several runs of the same thing: a made sensor, and the number of its first
-    exposure."""
+    """One of several runs: a made sensor, and the number of its first exposure."""
 
     seed: int | None = None
     exposures: int = 0

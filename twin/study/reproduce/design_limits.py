@@ -702,8 +702,8 @@ DESIGN_LIMITS: dict[str, Callable[[Bench], Entry.Outcome]] = {
 
 
 def in_short(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
-    """Return what the two sensors can and can't do, and what one would build today: sentences by
-    heading, with the numbers of these records; nothing where an entry is missing."""
+    """Return sentences by heading about both sensors, with the numbers of these records; nothing
+    where an entry is missing."""
 
     def value(part: str, cause: str = "") -> str:
         found = [r for r in records if r["quantity"].startswith(part)]

@@ -136,8 +136,7 @@ class Record:
 
     @property
     def verdict(self) -> str:
-        """Agreement with the paper: agrees, explained by the cause that closes the gap best or by
-        what isn't printed, ruled out over a range of that, or not explained."""
+        """Agreement with the paper: agrees, explained, ruled out over a range, or not explained."""
         paper = self.quantity.paper
         if paper is None:
             return "the paper gives no number"

@@ -27,15 +27,8 @@ from twin.study.recipe import find_scene, load_scene, paths_given, read_recipe, 
 
 @dataclass(frozen=True)
 class Designs:
-    """Values of m designs.
-
-    Attributes
-    ----------
-    sweep, scene
-        What is swept, and the scene that designs are changed from.
-    columns
-        (m,) lists by axis key, and by key that follows.
-    """
+    """Values of m designs of a sweep over a scene: (m,) lists by axis key, and by key that
+    follows."""
 
     sweep: Sweep
     scene: Scene
@@ -43,13 +36,8 @@ class Designs:
 
     @classmethod
     def of(cls, sweep: Sweep, scene: Scene) -> Designs:
-        """Return all designs of a sweep.
-
-        Raises
-        ------
-        RecipeError
-            An axis names a key that the scene does not have, or a key follows what is not a number.
-        """
+        """Return all designs; `RecipeError` for an axis that the scene lacks, or a key that follows
+        no number."""
         _check_keys(sweep, scene)
         return cls.at(sweep, scene, _unit(sweep) if sweep.sampling != "grid" else None)
 
@@ -90,8 +78,8 @@ class Designs:
         return {key: column[number] for key, column in self.columns.items()}
 
     def swept(self, key: str) -> str | None:
-        """Return the axis or derived key by which a scene's key, without ``*``, differs between
-        designs; None without."""
+        """Return the axis or derived key by which a scene's key differs between designs; None
+        without."""
         named = (*self.sweep.derived, *self.sweep.axes)
         return next((name for name in named if _matches(name, key)), None)
 
@@ -102,14 +90,8 @@ class Designs:
         return np.full(len(self), float(otherwise))
 
     def scene_of(self, number: int, base: SceneTable | None = None) -> Scene:
-        """Return a design's scene: the base's plain table with its values, layers keeping their
-        extent.
-
-        Raises
-        ------
-        RecipeError
-            A value is not allowed, or the scene has no such key.
-        """
+        """Return a design's scene, layers keeping their extent; `RecipeError` where a value is not
+        allowed."""
         base = base or SceneTable.of(self.scene)
         table = copy.deepcopy(base)
         for name, column in self.columns.items():
@@ -124,8 +106,7 @@ class Designs:
         return validate_scene(table, "design")
 
     def marker_counts(self, layer: str) -> tuple[Floats, Floats]:
-        """Return (m,) columns and (m,) rows of a layer's markers, which keep its extent if the
-        sweep wants that."""
+        """Return (m,) columns and rows of a layer's markers, which may keep its extent."""
         own = self.scene.markers[layer]
         pitch = self.numbers(f"markers.{layer}.pitch_mm", own.pitch_mm)
 
@@ -233,17 +214,9 @@ def _kept_count(count: int, pitch_mm: float, new_pitch_mm: Floats) -> Floats:
 
 
 def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> tuple[Sweep, Scene]:
-    """Return a sweep, given by path or shipped name, and its scene with ``set`` in place.
-
-    ``overrides`` are keys of the scene; they go over those of ``set``.
-
-    Raises
-    ------
-    RecipeError
-        With every problem of the sweep at once, or of its scene.
-    InputError
-        There is no such file.
-    """
+    """Return a sweep, given by path or shipped name, and its scene with ``set``, and ``overrides``
+    over it, in place; `RecipeError` with every problem at once, `InputError` without such a
+    file."""
     path = find_scene(name, "sweep")
     sweep = _sweep_of(read_recipe(path), str(path))
     below = sweep.set

@@ -82,18 +82,9 @@ the middle, ``middle_n``, and under the pair, ``pair_n``, and the middle push's 
 
 
 def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
-    """Return the closed form's figures of m designs.
-
-    Returns
-    -------
-    (m,) numbers by metric, NaN for designs that are dropped; and (m,) why a design is dropped,
-    empty otherwise.
-
-    Raises
-    ------
-    RecipeError
-        The noise of this camera has no closed form.
-    """
+    """Return the closed form's (m,) figures of designs by metric, NaN for dropped ones, and (m,)
+    why each is dropped, empty otherwise; `RecipeError` where the camera's noise has no closed
+    form."""
     scene = designs.scene
     sweep = designs.sweep
     count = len(designs)
@@ -183,14 +174,8 @@ def _axis_scale(designs: Designs, depth_mm: Floats) -> Floats:
 def linear(
     scene: Scene, view: View, sweep: Sweep, bodies: Bodies, pushes: Pushes
 ) -> tuple[dict[str, float], Shown]:
-    """Return a design's metrics by name, and its expected estimate of the push in the
-    middle.
-
-    Raises
-    ------
-    RecipeError
-        The sites don't cover the presses, or too few markers are usable.
-    """
+    """Return a design's metrics by name, and its expected estimate of the push in the middle;
+    `RecipeError` where the sites don't cover the presses or too few markers are usable."""
     # The markers that the software can use, and their noise.
     grid = scene.inverse.sites
     sites = Rectangles.on_surface(
@@ -527,11 +512,8 @@ def _require_cover(scene: Scene, pushes: Pushes) -> None:
 
 
 def resolved_by_sites(grid: Sites, loads: Sweep.Loads) -> float:
-    """Return the least distance, mm, at which an estimate without any error shows two pushes along
-    s; inf for none.
-
-    Such an estimate holds in every site the part of the pushes that lies in its cell.
-    """
+    """Return the least distance, mm, at which an estimate without any error, which holds in every
+    site what lies in its cell, shows two pushes along s; inf for none."""
     place = grid.axes()[0]
     half = loads.size_mm / 2
     apart = np.array(PAIRS) * loads.pair_mm
@@ -603,11 +585,7 @@ class _Spent:
 
 def cost(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> dict[str, float]:
     """Return the CPU seconds that `full` is expected to take: ``cpu_s`` for a design, ``begin_s``
-    once before.
-
-    One exposure of two loads, by one made sensor, is scaled to the sweep's loads, exposures and
-    sensors.
-    """
+    once before, from one exposure of two loads by one made sensor."""
     began = time.process_time()
     few = sweep.model_copy(update={"loads": sweep.loads.model_copy(update={"exposures": 1})})
     chosen = pushes.chosen(sweep.loads.pair_mm)
@@ -629,16 +607,11 @@ def cost(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> dict[str
 def full(
     scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes
 ) -> tuple[dict[str, float], Shown]:
-    """Return a design's metrics by the full chain over its made sensors, and the picture and fields
-    of the first.
+    """Return a design's metrics over all exposures of its made sensors, and the picture and fields
+    of the first; `InputError` where pictures show too little to track.
 
-    Metrics are over all exposures of all made sensors. ``..._noise_se`` is the standard error that
-    noise leaves, from the scatter over the exposures of the same made sensors; NaN of one exposure.
-
-    Raises
-    ------
-    InputError
-        The pictures show too little to track.
+    ``..._noise_se`` is the standard error that noise leaves, from the scatter over the exposures of
+    the same made sensors; NaN of one exposure.
     """
     # Make the sensors of the design, and track and reconstruct all their exposures.
     chosen = pushes.chosen(sweep.loads.pair_mm)

@@ -68,8 +68,8 @@ class Pushes:
     probe: bool
 
     def chosen(self, pair_mm: float) -> list[int]:
-        """Return the loads that the full chain takes: the middle, the presses, and the pair nearest
-        to a distance."""
+        """Return the loads of the full chain: the middle, the presses, and the pair nearest to a
+        distance."""
         pair = [1 + self.presses + self.nearest(pair_mm)] if len(self.pair_mm) else []
         return [*range(1 + self.presses), *pair]
 
@@ -101,13 +101,8 @@ class Pushes:
         )
 
     def motions(self, sensor: Sensor, bodies: Bodies, chosen: Sequence[int]) -> Iterator[Motion]:
-        """Yield how chosen loads move the actual markers.
-
-        Raises
-        ------
-        ContactError
-            A press has no equilibrium, or does not reach its force.
-        """
+        """Yield how chosen loads move the actual markers; `ContactError` without equilibrium or
+        full force."""
         from twin.study.sensor import Motion
 
         actual = sensor.actual.scene
@@ -133,14 +128,8 @@ class Pushes:
 
     @classmethod
     def of(cls, body: Body, loads: Sweep.Loads, half_mm: tuple[float, float], seed: int) -> Pushes:
-        """Return the pushes of a sweep on a body: presses at quasi-random places of a region with
-        half sides ``half_mm``.
-
-        Raises
-        ------
-        RecipeError
-            A patch would lie outside the sensing surface.
-        """
+        """Return the pushes on a body, at quasi-random places of a region with half sides
+        ``half_mm``; `RecipeError` where a patch would lie outside the sensing surface."""
         # Places: the middle, random presses by a scrambled Halton sequence, and pairs around the
         # middle.
         u = _halton(loads.presses, Purpose.SAMPLING.stream(seed, 1))
@@ -201,17 +190,9 @@ def _fits(body: Body, points: Points, half_mm: float) -> Bools:
 
 @dataclass
 class Bodies:
-    """Compliances; each serves one set of patches only, so that order changes nothing.
-
-    Attributes
-    ----------
-    thickness_mm
-        Ends of the range between which a block's thickness is interpolated, see `of`; None: each
-        is prepared.
-    asked, made
-        How often a compliance was needed, and how many were prepared; the others were reused or
-        interpolated.
-    """
+    """Compliances, each for one set of patches, so that order changes nothing; how often one was
+    needed, and how many were prepared. Between the ends ``thickness_mm`` those of a block are
+    interpolated."""
 
     thickness_mm: tuple[float, float] | None = None
     asked: int = 0
@@ -247,13 +228,7 @@ class Bodies:
 
     @staticmethod
     def refuse(scene: Scene) -> None:
-        """Refuse what a sweep does not model.
-
-        Raises
-        ------
-        RecipeError
-            Stiff beads, or a cover of its own modulus.
-        """
+        """Refuse what a sweep does not model: stiff beads, or a cover of its own modulus."""
         if any(layer.stiff for layer in scene.markers.values()):
             raise RecipeError(
                 "markers.stiff: sweeps take beads as points that the rubber carries; set "

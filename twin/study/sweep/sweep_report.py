@@ -189,8 +189,8 @@ MOST_REASONS = 12
 
 
 def write_report(done: Swept, folder: Path) -> tuple[list[str], list[dict[str, Any]]]:
-    """Write the best designs' scenes into ``best``, and ``report.html``; return lines that say what
-    to make, with a table of the best designs, and the records of these."""
+    """Write ``best`` and ``report.html``; return lines that say what to make, and the best
+    designs."""
     import tomli_w
 
     best = _write_best(done, folder)

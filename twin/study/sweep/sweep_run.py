@@ -389,14 +389,14 @@ class Swept:
         return int((self.status == "failed").sum())
 
     def metric(self, name: str, upto: str = "full") -> Floats | None:
-        """Return a metric at the best fidelity, ``upto`` at most, of each design; None if there is
-        none."""
+        """Return a metric at the best fidelity, ``upto`` at most, of each design; None if none has
+        it."""
         return _metric(self.columns, name, upto)
 
     @staticmethod
     def agreement(one: Floats, other: Floats) -> tuple[float, float, int]:
-        """Return Spearman's rank correlation of two fidelities, the median ratio of the second to
-        the first (NaN where one of the first is zero), and how many designs have both."""
+        """Return two fidelities' rank correlation (Spearman), the median ratio of the second to the
+        first (NaN where one of the first is zero), and how many designs have both."""
         from scipy.stats import spearmanr
 
         both = np.isfinite(one) & np.isfinite(other)
@@ -407,8 +407,8 @@ class Swept:
 
     @staticmethod
     def front(columns: Sequence[Floats]) -> Bools:
-        """Return (m,) whether no other design is at least as good in all columns and better in one;
-        less is better."""
+        """Return (m,) whether no other design is at least as good (less) in all columns and better
+        in one."""
         table = np.column_stack(columns)
         front: Bools = np.array(np.isfinite(table).all(axis=1), np.bool_)
         candidates = np.flatnonzero(front)
@@ -484,16 +484,8 @@ def run_sweep(
     progress: Progress | None = None,
     optimise: bool = False,
 ) -> Swept:
-    """Run a sweep, or what is missing of it, and write its table.
-
-    Raises
-    ------
-    RecipeError
-        The sweep can't be run.
-    InputError
-        The folder can't be written, another process is writing there, or the scheduler can't be
-        reached.
-    """
+    """Run what is missing of a sweep and write its table. `RecipeError` where it can't be run,
+    `InputError` where the folder can't be written alone or the scheduler can't be reached."""
     _check(sweep, scene)
     designs = Designs.of(sweep, scene)
     if scheduler is not None:
@@ -731,11 +723,8 @@ def _scored(sweep: Sweep, designs: Designs, stage: str, runner: _Runner) -> Floa
 
 
 def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[str]:
-    """Return lines on what a sweep would do and how long it takes, from a few designs.
-
-    The estimate rests on CPU seconds: clock time would depend on other work on the machine. A sweep
-    that can't be run raises a `RecipeError`.
-    """
+    """Return lines on what a sweep would do and how long it takes, from the CPU seconds of a few
+    designs; `RecipeError` where it can't be run."""
     lines, good, designs = _overview(sweep, scene)
     left = len(good)
     for stage in sweep.ladder:
