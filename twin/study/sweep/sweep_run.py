@@ -645,7 +645,7 @@ def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
     """Return (m,) distances to the targets, a weighted sum of log(metric / target); infinite where
     unknown. What is better than its target counts a tenth, so that meeting all targets comes
     first."""
-    parts = [np.full(len(next(iter(columns.values()), ())), np.inf)]
+    parts = []
     for name, target in sweep.targets.items():
         values = _metric(columns, name)
         if values is None:
@@ -654,7 +654,9 @@ def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
             off = np.log(np.maximum(values, 1e-300) / target)
         part = sweep.weights.get(name, 1.0) * np.where(off > 0, off, BEYOND * off)
         parts.append(np.where(np.isnan(part), np.inf, part))
-    return np.asarray(sum(parts[1:], start=0.0 * parts[1]) if len(parts) > 1 else parts[0])
+    if not parts:
+        return np.full(len(next(iter(columns.values()), ())), np.inf)
+    return np.asarray(np.sum(parts, axis=0))
 
 
 def _optimised(designs: Designs, runner: _Runner) -> Designs:
