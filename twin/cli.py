@@ -12,6 +12,7 @@ import inspect
 import io
 import json
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -20,7 +21,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from types import FrameType
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, get_type_hints
 
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnusedCliTokensError
 
@@ -59,9 +60,13 @@ def _printing(command: Callable[..., Iterator[Any]]) -> Callable[..., None]:
     keyword = inspect.Parameter(
         "json_", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_Json
     )
+    kinds = get_type_hints(command, include_extras=True)
+    for name, text in _texts_of(command).items():
+        kinds[name] = Annotated[kinds[name], Parameter(help=text)]
     given = inspect.signature(command).parameters.values()
-    printing.__signature__ = inspect.Signature([*given, keyword])  # type: ignore[attr-defined]
-    printing.__annotations__ = {**command.__annotations__, "json_": _Json, "return": None}
+    described = [each.replace(annotation=kinds[each.name]) for each in given]
+    printing.__signature__ = inspect.Signature([*described, keyword])  # type: ignore[attr-defined]
+    printing.__annotations__ = {**kinds, "json_": _Json, "return": None}
     return printing
 
 
@@ -114,10 +119,19 @@ def _print_json(name: str, output: Iterator[Any]) -> None:
         raise failure
 
 
+def _texts_of(command: Callable[..., Iterator[Any]]) -> dict[str, str]:
+    """Return what a command's docstring states of its parameters, by name."""
+    _, _, section = (inspect.getdoc(command) or "").partition("\n\nParameters\n----------\n")
+    entries = re.split(r"\n(?=\S)", section.partition("\n\n")[0])
+    parts = [entry.split() for entry in entries if entry]
+    return {name: " ".join(words) for name, *words in parts}
+
+
 def _help_of(command: Callable[..., Iterator[Any]]) -> dict[str, str]:
     """Return a command's help from its docstring: paragraphs that a terminal can wrap, and
     examples, a line each."""
     text, _, examples = (inspect.getdoc(command) or "").partition("\n\nExamples:\n")
+    text = text.partition("\n\nParameters\n")[0]
     paragraphs = [" ".join(paragraph.split("\n")) for paragraph in text.split("\n\n")]
     return {
         "help": "\n\n".join(paragraphs),

@@ -169,32 +169,13 @@ def _file_name(scene: Path, overrides: Sequence[str]) -> str:
 def run(
     scene: SceneName,
     *,
-    out: Annotated[
-        Path | None,
-        Parameter(
-            help="Folder for the results (default out/<scene>, with the overrides behind the name)."
-        ),
-    ] = None,
-    want: Annotated[
-        tuple[str, ...],
-        Parameter(help="What to compute (default all).", show_default=False),
-    ] = (),
-    live: Annotated[
-        bool,
-        Parameter(help="Move the probe by hand in a page on this machine instead."),
-    ] = False,
-    film: Annotated[
-        bool,
-        Parameter(help="Film the press's steps instead, at ccd.frames_per_second."),
-    ] = False,
-    h264: Annotated[bool, Parameter(help="Film as a video, frames.mp4, not as PNG files.")] = False,
-    open_: Annotated[
-        bool, Parameter(name="--open", help="Open the report in the browser.")
-    ] = False,
-    port: Annotated[
-        Whole,
-        Parameter(help="Port of the live page (default: any that is free).", show_default=False),
-    ] = 0,
+    out: Path | None = None,
+    want: Annotated[tuple[str, ...], Parameter(show_default=False)] = (),
+    live: bool = False,
+    film: bool = False,
+    h264: bool = False,
+    open_: Annotated[bool, Parameter(name="--open")] = False,
+    port: Annotated[Whole, Parameter(show_default=False)] = 0,
     set_: Overrides = (),
 ) -> _Output:
     """Compute one press through the whole twin.
@@ -214,6 +195,23 @@ def run(
     force, contact, slip of every patch, and markers' places.
     With --h264 frames.mp4 holds the frames (pip install imageio-ffmpeg). twin reconstruct reads
     both. Ctrl-C keeps what is filmed.
+
+    Parameters
+    ----------
+    out
+        Folder for the results (default out/<scene>, with the overrides behind the name).
+    want
+        What to compute (default all).
+    live
+        Move the probe by hand in a page on this machine instead.
+    film
+        Film the press's steps instead, at ccd.frames_per_second.
+    h264
+        Film as a video, frames.mp4, not as PNG files.
+    open_
+        Open the report in the browser.
+    port
+        Port of the live page (default: any that is free).
 
     Examples:
     twin run kamiyama_pillar
@@ -277,13 +275,18 @@ def run(
 
 
 def explain(
-    path: Annotated[Path, Parameter(help="score.json of a run, or the run's folder.")],
+    path: Path,
     /,
 ) -> _Output:
     """Print what each number of a run means, with its unit and a verdict.
 
     The verdicts good, fair and poor are this program's own scale; each stands with the limit of
     good.
+
+    Parameters
+    ----------
+    path
+        score.json of a run, or the run's folder.
 
     Examples:
     twin explain out/kamiyama_pillar/score.json
@@ -316,15 +319,18 @@ def _listed(option: str, given: Sequence[str], known: str) -> list[str]:
 def mesh(
     scene: SceneName,
     *,
-    rebuild: Annotated[
-        bool, Parameter(help="Make the meshes again, even if shipped or cached.")
-    ] = False,
-    export: Annotated[
-        Path | None, Parameter(help="Write the truth's mesh as .vtu for other programs.")
-    ] = None,
+    rebuild: bool = False,
+    export: Path | None = None,
     set_: Overrides = (),
 ) -> _Output:
     """Show the meshes of a scene's body, or make them again.
+
+    Parameters
+    ----------
+    rebuild
+        Make the meshes again, even if shipped or cached.
+    export
+        Write the truth's mesh as .vtu for other programs.
 
     Examples:
     twin mesh sato_press
@@ -368,33 +374,41 @@ _Layers = Annotated[
 
 def scenes(
     *,
-    new: Annotated[Path | None, Parameter(help="Write a recipe of this name (.toml).")] = None,
-    size_mm: Annotated[
-        tuple[float, float, float],
-        Parameter(help="Width (along the picture's rows), length and thickness of the pad, mm."),
-    ] = (25.0, 25.0, 4.0),
-    modulus_mpa: Annotated[float, Parameter(help="Young's modulus, MPa.")] = 0.2,
+    new: Path | None = None,
+    size_mm: tuple[float, float, float] = (25.0, 25.0, 4.0),
+    modulus_mpa: float = 0.2,
     depth_mm: _Layers = (),
     pitch_mm: _Layers = (),
     diameter_mm: _Layers = (),
-    camera_mm: Annotated[
-        float | None, Parameter(help="From the back of the pad to the lens, mm.")
-    ] = None,
-    fov_deg: Annotated[
-        float | None, Parameter(help="Full angle of the picture's width, degrees (default 39).")
-    ] = None,
-    sensor_mm: Annotated[
-        float | None, Parameter(help="Or: width of the camera's chip, mm,")
-    ] = None,
-    focal_mm: Annotated[float | None, Parameter(help="and focal length of its lens, mm.")] = None,
-    resolution: Annotated[
-        tuple[Whole, Whole], Parameter(help="Width and height of the picture, px.")
-    ] = (640, 480),
+    camera_mm: float | None = None,
+    fov_deg: float | None = None,
+    sensor_mm: float | None = None,
+    focal_mm: float | None = None,
+    resolution: tuple[Whole, Whole] = (640, 480),
 ) -> _Output:
     """List the shipped scenes, or write a recipe of your own sensor.
 
     --new NAME writes NAME.toml: a soft pad on a plate, dots near its surface, a camera behind. The
     other options are numbers that a maker knows; what is left out follows from the size.
+
+    Parameters
+    ----------
+    new
+        Write a recipe of this name (.toml).
+    size_mm
+        Width (along the picture's rows), length and thickness of the pad, mm.
+    modulus_mpa
+        Young's modulus, MPa.
+    camera_mm
+        From the back of the pad to the lens, mm.
+    fov_deg
+        Full angle of the picture's width, degrees (default 39).
+    sensor_mm
+        Or: width of the camera's chip, mm,
+    focal_mm
+        and focal length of its lens, mm.
+    resolution
+        Width and height of the picture, px.
 
     Examples:
     twin scenes
@@ -428,31 +442,30 @@ def scenes(
 
 
 def check(
-    file: Annotated[
-        str,
-        Parameter(
-            help="Scene or sweep file, calibration (.npz), OpenCV's camera file (.yaml, .json), "
-            "result folder or dataset; or a rest picture."
-        ),
-    ],
-    second: Annotated[
-        Path | None, Parameter(help="Another rest picture: is this camera good enough?")
-    ] = None,
+    file: str,
+    second: Path | None = None,
     /,
     *,
-    scene: Annotated[
-        str | None, Parameter(help="The pictures' sensor: a scene (path or shipped name).")
-    ] = None,
-    camera: Annotated[
-        bool,
-        Parameter(help="Measure the scene's camera chip by EMVA 1288, and compare what it states."),
-    ] = False,
+    scene: str | None = None,
+    camera: bool = False,
     set_: Overrides = (),
 ) -> _Output:
     """Check a file or a folder and print everything that is wrong with it.
 
     Two rest pictures of a sensor and its scene: print noise, saturation, blur, compression, the
     errors of shifts and forces to expect, and whether the camera is good enough.
+
+    Parameters
+    ----------
+    file
+        Scene or sweep file, calibration (.npz), OpenCV's camera file (.yaml, .json), result folder
+        or dataset; or a rest picture.
+    second
+        Another rest picture: is this camera good enough?
+    scene
+        The pictures' sensor: a scene (path or shipped name).
+    camera
+        Measure the scene's camera chip by EMVA 1288, and compare what it states.
 
     Examples:
     twin check my_scene.toml -s material.poisson_ratio=0.45
@@ -501,19 +514,10 @@ def doctor() -> _Output:
 
 
 def view(
-    path: Annotated[
-        str,
-        Parameter(help="A scene (path or shipped name), a run's or dataset's folder, or an STL."),
-    ],
+    path: str,
     *,
-    out: Annotated[
-        Path | None,
-        Parameter(
-            help="Page to write (default: view.html in the run's folder; SCENE.html or "
-            "DATASET.html here), or a film: .gif, .png or .mp4."
-        ),
-    ] = None,
-    window: Annotated[bool, Parameter(help="Open a window (needs a display and OpenGL).")] = False,
+    out: Path | None = None,
+    window: bool = False,
     set_: Overrides = (),
 ) -> _Output:
     """Write a page that shows a body under its press and turns in the browser, without a server.
@@ -529,6 +533,16 @@ def view(
 
     Of a dataset it shows a sheet of samples, with the truth drawn in; of an STL file the surface,
     on which a click picks a face and gives the lines of a recipe that hold it or press it.
+
+    Parameters
+    ----------
+    path
+        A scene (path or shipped name), a run's or dataset's folder, or an STL.
+    out
+        Page to write (default: view.html in the run's folder; SCENE.html or DATASET.html here), or
+        a film: .gif, .png or .mp4.
+    window
+        Open a window (needs a display and OpenGL).
 
     Examples:
     twin view kamiyama_shear
@@ -606,33 +620,14 @@ def view(
 
 
 def calibrate(
-    folder: Annotated[
-        Path | None,
-        Parameter(
-            help="Recording of a real sensor: rest.png, pictures, presses.csv (else the twin's)."
-        ),
-    ] = None,
+    folder: Path | None = None,
     /,
     *,
-    scene: Annotated[
-        str | None,
-        Parameter(help="Path of a scene file, or the name of a shipped scene (see: twin scenes)."),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        Parameter(help="Calibration file to write (.npz); with --layout-from tables (.toml)."),
-    ] = None,
-    method: Annotated[
-        Literal["sato", "fitted", "compliance", "halfspace"] | None,
-        Parameter(help="Default: the scene's."),
-    ] = None,
-    layout_from: Annotated[
-        Path | None,
-        Parameter(help="Find the markers in this rest picture instead, without a drawing."),
-    ] = None,
-    overlay: Annotated[
-        Path | None, Parameter(help="Picture of the markers found (.png, with --layout-from).")
-    ] = None,
+    scene: str | None = None,
+    out: Path | None = None,
+    method: Literal["sato", "fitted", "compliance", "halfspace"] | None = None,
+    layout_from: Path | None = None,
+    overlay: Path | None = None,
     pitch_mm: _Layers = (),
     depth_mm: _Layers = (),
     set_: Overrides = (),
@@ -651,6 +646,21 @@ def calibrate(
     written as the [markers] tables of a recipe, with a picture that shows the dots and their
     numbers. Millimetres come from --pitch-mm (and --depth-mm), or from --scene: then it prints
     which camera gives the drawn pitch, and writes tables only to an --out.
+
+    Parameters
+    ----------
+    folder
+        Recording of a real sensor: rest.png, pictures, presses.csv (else the twin's).
+    scene
+        Path of a scene file, or the name of a shipped scene (see: twin scenes).
+    out
+        Calibration file to write (.npz); with --layout-from tables (.toml).
+    method
+        Default: the scene's.
+    layout_from
+        Find the markers in this rest picture instead, without a drawing.
+    overlay
+        Picture of the markers found (.png, with --layout-from).
 
     Examples:
     twin calibrate --scene sato_press --out sato.npz
@@ -694,64 +704,23 @@ def calibrate(
 
 
 def reconstruct(
-    rest: Annotated[
-        Path,
-        Parameter(
-            help="Picture without load: PNG, BMP or JPEG; or a folder, one for each group of LEDs."
-        ),
-    ],
-    frames: Annotated[
-        tuple[str, ...],
-        Parameter(
-            help="Pictures, folders of them, videos; or - for raw frames from stdin.",
-            allow_leading_hyphen=True,
-        ),
-    ],
+    rest: Path,
+    frames: Annotated[tuple[str, ...], Parameter(allow_leading_hyphen=True)],
     /,
     *,
-    calibration: Annotated[Path, Parameter(help="Calibration file (see: twin calibrate).")],
-    out: Annotated[
-        Path | None, Parameter(help="Table to write: .parquet, .csv (totals only) or .npz.")
-    ] = None,
-    overlay: Annotated[
-        Path | None,
-        Parameter(
-            help="Draw the motion into the frames: a .png, a folder of them, or a video (.mp4)."
-        ),
-    ] = None,
-    size: Annotated[str | None, Parameter(help="Size of raw frames: 640x480.")] = None,
-    format: Annotated[str | None, Parameter(help="Format of raw frames: rgb24 or gray8.")] = None,
-    method: Annotated[
-        Method | None, Parameter(help="How it is solved; local: forces only where some are found.")
-    ] = None,
-    weight: Annotated[
-        str | None, Parameter(help="The papers' omega, px2/N2, or auto, likelihood, gcv.")
-    ] = None,
-    push_only: Annotated[
-        bool | None,
-        Parameter(help="No site pulls; or they may, without bounds.", negative="--no-push-only"),
-    ] = None,
-    friction: Annotated[
-        float | None, Parameter(help="Friction coefficient that bounds every site's force.")
-    ] = None,
-    robust: Annotated[
-        bool | None, Parameter(help="Leave wrong vectors out.", negative="--no-robust")
-    ] = None,
-    camera: Annotated[
-        bool | None,
-        Parameter(
-            help="Follow the camera's bend (needed for large motion).", negative="--no-camera"
-        ),
-    ] = None,
-    frames_per_second: Annotated[
-        float | None,
-        Parameter(
-            help="Rate of the frames: forces of rubber that relaxes (0: each frame by itself)."
-        ),
-    ] = None,
-    times: Annotated[
-        Path | None, Parameter(help="Instead: a CSV file with the columns frame, time_s.")
-    ] = None,
+    calibration: Path,
+    out: Path | None = None,
+    overlay: Path | None = None,
+    size: str | None = None,
+    format: str | None = None,
+    method: Method | None = None,
+    weight: str | None = None,
+    push_only: Annotated[bool | None, Parameter(negative="--no-push-only")] = None,
+    friction: float | None = None,
+    robust: Annotated[bool | None, Parameter(negative="--no-robust")] = None,
+    camera: Annotated[bool | None, Parameter(negative="--no-camera")] = None,
+    frames_per_second: float | None = None,
+    times: Path | None = None,
 ) -> _Output:
     """Track the markers of recorded frames and reconstruct the forces.
 
@@ -763,6 +732,39 @@ def reconstruct(
 
     What isn't given from --method to --frames-per-second is taken from the [reconstruction] table
     of the recipe that was calibrated.
+
+    Parameters
+    ----------
+    rest
+        Picture without load: PNG, BMP or JPEG; or a folder, one for each group of LEDs.
+    frames
+        Pictures, folders of them, videos; or - for raw frames from stdin.
+    calibration
+        Calibration file (see: twin calibrate).
+    out
+        Table to write: .parquet, .csv (totals only) or .npz.
+    overlay
+        Draw the motion into the frames: a .png, a folder of them, or a video (.mp4).
+    size
+        Size of raw frames: 640x480.
+    format
+        Format of raw frames: rgb24 or gray8.
+    method
+        How it is solved; local: forces only where some are found.
+    weight
+        The papers' omega, px2/N2, or auto, likelihood, gcv.
+    push_only
+        No site pulls; or they may, without bounds.
+    friction
+        Friction coefficient that bounds every site's force.
+    robust
+        Leave wrong vectors out.
+    camera
+        Follow the camera's bend (needed for large motion).
+    frames_per_second
+        Rate of the frames: forces of rubber that relaxes (0: each frame by itself).
+    times
+        Instead: a CSV file with the columns frame, time_s.
 
     Examples:
     twin reconstruct rest.png press*.png --calibration flat.npz --out forces.parquet
@@ -803,14 +805,8 @@ _DEFAULT = _Batch()
 def dataset(
     scene: SceneName,
     *,
-    samples: Annotated[Whole, Parameter(help="How many samples; a dataset can grow later.")],
-    columns: Annotated[
-        tuple[str, ...],
-        Parameter(
-            help="What to keep, separated by commas (default all).",
-            show_default=False,
-        ),
-    ] = (),
+    samples: Whole,
+    columns: Annotated[tuple[str, ...], Parameter(show_default=False)] = (),
     batch: _Batch = _DEFAULT,
     set_: Overrides = (),
 ) -> _Output:
@@ -819,6 +815,13 @@ def dataset(
     DIR/data holds the samples as Parquet, DIR/sensors the sensors they were pressed on, DIR/meta
     everything else. An interrupted job continues when the same command is given again, and ends
     with the same bytes. A sample that fails is a row with its error (exit code 3).
+
+    Parameters
+    ----------
+    samples
+        How many samples; a dataset can grow later.
+    columns
+        What to keep, separated by commas (default all).
 
     Examples:
     twin dataset dataset_kamiyama --samples 1000 --out data/flat
@@ -859,10 +862,10 @@ def dataset(
 
 
 def export(
-    source: Annotated[str, Parameter(help="Folder of a dataset, or a scene for mitsuba.")],
+    source: str,
     *,
-    format: Annotated[str, Parameter(help="hdf5, coco, webdataset, or mitsuba.")],
-    out: Annotated[Path, Parameter(help="Folder to write to.")],
+    format: str,
+    out: Path,
     set_: Overrides = (),
 ) -> _Output:
     """Write a dataset as HDF5, as COCO keypoints, or as WebDataset tar files; or a scene for
@@ -870,6 +873,15 @@ def export(
 
     Of a dataset, failed samples are left out. Of a scene, rest.xml and pressed.xml are written with
     triangles as PLY files and a README: stock Mitsuba renders them, and so can others.
+
+    Parameters
+    ----------
+    source
+        Folder of a dataset, or a scene for mitsuba.
+    format
+        hdf5, coco, webdataset, or mitsuba.
+    out
+        Folder to write to.
 
     Examples:
     twin export data/flat --format hdf5 --out flat_h5
@@ -892,14 +904,9 @@ def export(
 
 
 def sweep(
-    sweep: Annotated[str, Parameter(help="Path of a sweep file, or the name of a shipped sweep.")],
+    sweep: str,
     *,
-    optimise: Annotated[
-        bool,
-        Parameter(
-            help="Search the best design between the axes' ends instead of sampling them.",
-        ),
-    ] = False,
+    optimise: bool = False,
     batch: _Batch = _DEFAULT,
     set_: Overrides = (),
 ) -> _Output:
@@ -913,6 +920,13 @@ def sweep(
 
     Shipped sweeps: sweep_kamiyama_depth_pitch, sweep_sato_pitch_diameter, sweep_lens,
     sweep_youngs_modulus.
+
+    Parameters
+    ----------
+    sweep
+        Path of a sweep file, or the name of a shipped sweep.
+    optimise
+        Search the best design between the axes' ends instead of sampling them.
 
     Examples:
     twin sweep sweep_lens --out out/lens
@@ -958,16 +972,10 @@ def sweep(
 
 
 def reproduce(
-    *names: Annotated[
-        str, Parameter(help="Entries (kamiyama/table-1), papers (sato), or all; none: the list.")
-    ],
-    out: Annotated[
-        Path, Parameter(help="Folder for the page, the records and the pictures.")
-    ] = Path("reproduce"),
-    quick: Annotated[
-        bool, Parameter(help="One made sensor, fewer steps, no long entries.")
-    ] = False,
-    seed: Annotated[Whole, Parameter(help="Root seed of sensors and noise.")] = 1,
+    *names: str,
+    out: Path = Path("reproduce"),
+    quick: bool = False,
+    seed: Whole = 1,
 ) -> _Output:
     """Reproduce the papers' tables and figures, with the papers' figures for comparison.
 
@@ -976,6 +984,17 @@ def reproduce(
     Every experiment runs through the full chain: contact, picture, CCD, tracking, inverse. Writes
     DIR/index.html, DIR/results.json and an SVG for each. Results in DIR that are still valid are
     not computed again.
+
+    Parameters
+    ----------
+    names
+        Entries (kamiyama/table-1), papers (sato), or all; none: the list.
+    out
+        Folder for the page, the records and the pictures.
+    quick
+        One made sensor, fewer steps, no long entries.
+    seed
+        Root seed of sensors and noise.
 
     Examples:
     twin reproduce all

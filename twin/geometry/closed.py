@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Points, frozen
+from twin.arrays import Floats, Ints, Points, coordinates, frozen
 from twin.errors import InputError
 
 MOST_TRIANGLES = 400_000
@@ -195,6 +195,11 @@ class Surface:
     volume_mm3: float
 
     @staticmethod
+    def directed_edges(triangles: Ints) -> Ints:
+        """Return (3 m, 2) directed edges in the order of the triangles, 01, 12, 20."""
+        return triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+
+    @staticmethod
     def read(file: str, size_mm: tuple[float, float] = SIZE_MM) -> Surface:
         """Return the checked surface of an STL file, kept while that stays as it is; `InputError`
         where it can't be read, or see `welded`."""
@@ -237,10 +242,10 @@ class Surface:
         )
         flat = double_area < 1e-7 * longest**2
         if flat.any():
-            x, y, z = a[np.argmax(flat)]
             raise InputError(
-                f"{name}: {int(flat.sum())} triangles have no area, the first at ({x:.4g}, "
-                f"{y:.4g}, {z:.4g}) mm; clean the surface (merge needles) and export it again"
+                f"{name}: {int(flat.sum())} triangles have no area, the first at "
+                f"({coordinates(a[np.argmax(flat)])}) mm; clean the surface (merge needles) and "
+                "export it again"
             )
         # The divergence theorem: the volume is negative where the normals point inwards.
         volume = float(np.einsum("ij,ij->", np.cross(a, b), c)) / 6.0
@@ -307,13 +312,9 @@ def _welded(corners: Floats, distance_mm: float) -> tuple[Points, Ints]:
     return vertices, triangles[kept]
 
 
-def _directed_edges(triangles: Ints) -> Ints:
-    return triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-
-
 def _open_edges(triangles: Ints) -> Ints:
     """Return the (e, 2) edges that don't belong to exactly two triangles."""
-    edges, count = _counted(np.sort(_directed_edges(triangles), axis=1))
+    edges, count = _counted(np.sort(Surface.directed_edges(triangles), axis=1))
     return np.asarray(edges[count != 2])
 
 
@@ -330,15 +331,15 @@ def _refuse_open(vertices: Points, triangles: Ints, name: str) -> None:
         place = vertices[edges[0]].mean(axis=0) if len(edges) else np.zeros(3)
         raise InputError(
             f"{name}: the surface is not watertight: {len(edges)} edges do not belong to exactly "
-            f"two triangles, the first at ({', '.join(f'{c:.4g}' for c in place)}) mm; mend the "
+            f"two triangles, the first at ({coordinates(place)}) mm; mend the "
             "holes and export it again"
         )
-    ways, count = _counted(_directed_edges(triangles))
+    ways, count = _counted(Surface.directed_edges(triangles))
     if (count != 1).any():
         place = vertices[ways[np.argmax(count)]].mean(axis=0)
         raise InputError(
             f"{name}: {int(np.sum(count - 1))} neighbouring triangles are wound against each "
-            f"other, the first at ({', '.join(f'{c:.4g}' for c in place)}) mm; make the normals "
+            f"other, the first at ({coordinates(place)}) mm; make the normals "
             "consistent and export it again"
         )
 
@@ -347,7 +348,7 @@ def _refuse_parts(vertices: Points, triangles: Ints, name: str) -> None:
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    ends = _directed_edges(triangles)
+    ends = Surface.directed_edges(triangles)
     graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(len(vertices), len(vertices)))
     parts, of_vertex = connected_components(graph, directed=False)
     if parts != 1:

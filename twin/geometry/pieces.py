@@ -413,10 +413,10 @@ class Pieces:
     def edges(self, chosen: Bools) -> Points:
         """Return the (e, 2, 3) ends of edges between the ``chosen`` (pieces,) and the others."""
         own = chosen[self.piece]
-        others = {(int(b), int(a)) for a, b in _sides(self.surface.triangles[~own])}
+        others = {(int(b), int(a)) for a, b in Surface.directed_edges(self.surface.triangles[~own])}
         shared = [
             (int(a), int(b))
-            for a, b in _sides(self.surface.triangles[own])
+            for a, b in Surface.directed_edges(self.surface.triangles[own])
             if (int(a), int(b)) in others
         ]
         return np.asarray(self.surface.vertices[np.array(shared, np.int64).reshape(-1, 2)])
@@ -460,11 +460,6 @@ class Pieces:
         return np.where(outward <= 0.0, 180.0 - turned, 180.0 + turned), ends
 
 
-def _sides(triangles: Ints) -> Ints:
-    """Return (3 m, 2) directed edges in the order of the triangles, 01, 12, 20."""
-    return triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-
-
 def _face_normals(corners: Floats) -> Floats:
     """Return (m, 3) unit outward normals of triangles (m, 3, 3)."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -473,7 +468,7 @@ def _face_normals(corners: Floats) -> Floats:
 
 def _neighbours(triangles: Ints) -> Ints:
     """Return (m, 3) the triangle across each edge 01, 12, 20 of a closed surface."""
-    sides = _sides(triangles)
+    sides = Surface.directed_edges(triangles)
     number = {(int(a), int(b)): k // 3 for k, (a, b) in enumerate(sides)}
     return np.array([number[(int(b), int(a))] for a, b in sides], np.int64).reshape(-1, 3)
 

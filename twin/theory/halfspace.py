@@ -689,30 +689,13 @@ def _add_slopes(
     hzzz: float,
 ) -> None:
     """Add the slopes of V from the third derivatives of H (or of its twofold integral)."""
-    d[0, 0, 0] -= hxxx
-    d[0, 0, 1] -= hxxy
-    d[0, 0, 2] -= hxxz
-    d[1, 1, 0] -= hxyy
-    d[1, 1, 1] -= hyyy
-    d[1, 1, 2] -= hyyz
-    d[0, 1, 0] -= hxxy
-    d[0, 1, 1] -= hxyy
-    d[0, 1, 2] -= hxyz
-    d[1, 0, 0] -= hxxy
-    d[1, 0, 1] -= hxyy
-    d[1, 0, 2] -= hxyz
-    d[0, 2, 0] -= hxxz
-    d[0, 2, 1] -= hxyz
-    d[0, 2, 2] -= hxzz
-    d[2, 0, 0] += hxxz
-    d[2, 0, 1] += hxyz
-    d[2, 0, 2] += hxzz
-    d[1, 2, 0] -= hxyz
-    d[1, 2, 1] -= hyyz
-    d[1, 2, 2] -= hyzz
-    d[2, 1, 0] += hxyz
-    d[2, 1, 1] += hyyz
-    d[2, 1, 2] += hyzz
-    d[2, 2, 0] += hxzz
-    d[2, 2, 1] += hyzz
-    d[2, 2, 2] += hzzz
+    # by the numbers of x and of y among the indices i, j, m; V_zx and V_zy have H's sign
+    third = (hzzz, hyzz, hyyz, hyyy, hxzz, hxyz, hxyy, hxxz, hxxy, hxxx)
+    first = (0, 4, 7, 9)
+    for i in range(3):
+        for j in range(3):
+            for m in range(3):
+                slope = third[
+                    first[(i == 0) + (j == 0) + (m == 0)] + (i == 1) + (j == 1) + (m == 1)
+                ]
+                d[i, j, m] += slope if i == 2 else -slope
