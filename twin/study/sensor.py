@@ -53,7 +53,7 @@ less than 0.01 is requested."""
 
 TRACTION = 0.7
 """The same of tractions, over their root mean square: under sharp edges, where they grow without
-bound, shipped scenes state up to 0.73, under spheres 0.08."""
+bound, shipped scenes state up to 0.73, under spheres 0.04."""
 
 AGAIN = 2.0
 """How much larger than in the last warning an error is that is warned of once more."""

@@ -17,7 +17,7 @@ from benchmarks.flat import HalfSpace
 from benchmarks.random_bodies import traction_change
 from twin.geometry.closed import PROBE_SIZE_MM, Surface
 from twin.geometry.objects import object_triangles
-from twin.parts.press import Cylinder, Object, Pillar, Press, Stl
+from twin.parts.press import Cone, Cylinder, Object, Pillar, Press, Sphere, Stl
 from twin.study.recipe import validate_scene
 from twin.theory import halfspace
 
@@ -90,7 +90,6 @@ def test_the_force_of_a_ring_is_right_within_what_it_says(ring, across):
         (Pillar(width_mm=3.0), (0, 0, 0)),
         (Pillar(width_mm=3.0, length_mm=2.4, edge_mm=0.32), (0, 0, 0)),
     ],
-    ids=lambda value: getattr(value, "shape", None) or getattr(value, "kind", None),
 )
 def test_edges_have_their_share_in_the_error(probe, tilt):
     coarse, fine = (
@@ -102,11 +101,15 @@ def test_edges_have_their_share_in_the_error(probe, tilt):
     assert off <= coarse.error.traction < 5.0 * off
 
 
-@pytest.mark.parametrize("face", [Cylinder(diameter_mm=4.0), Pillar(width_mm=4.0)], ids=["round", "square"])
-def test_what_sharp_rims_leave_to_finer_patches_is_stated(face):
-    coarse, fine = (pressed(Press(probe=face, indentation_mm=0.1), across=n) for n in (24, 36))
+@pytest.mark.parametrize("across", [8, 9, 12])
+@pytest.mark.parametrize(
+    "probe", [Cylinder(diameter_mm=4), Pillar(width_mm=4), Sphere(diameter_mm=10), Cone(apex_deg=140, diameter_mm=12)]
+)
+def test_what_patches_leave_to_finer_ones_is_stated_of_tractions(probe, across):
+    """Balls at 8 and 9 patches across stated 0.43 times that, compared with 6."""
+    coarse, fine = (pressed(Press(probe=probe, indentation_mm=0.1), across=n) for n in (across, 3 * across))
     off = traction_change(fine.load, coarse.load)
-    assert off <= coarse.error.traction < 2.0 * off
+    assert off <= coarse.error.traction < 3.0 * off
 
 
 def test_a_ring_pressed_by_force_sinks_as_deep(ring):

@@ -93,19 +93,14 @@ def on_block(across, size_mm, modulus, nu, **press):
     }, "block")).press()  # fmt: skip
 
 
-def test_patches_cut_the_border_of_a_wide_contact_on_thin_rubber():
-    """A ball that sticks to a layer as thick as the contact's radius."""
-    on_gel = {"probe": {"kind": "sphere", "diameter_mm": 88.0}, "at_mm": [-7.8, -5.7], "friction": 1.0,
-              "steps": [{"move_mm": {"z": 0.137}}]}  # fmt: skip
-    state, finer = (on_block(across, (132.0, 118.0, 3.09), 0.8, 0.49, **on_gel) for across in (12, 24))
-    off, _ = relative(finer, state)
-    assert off < state.error.force < 3.0 * off
-
-
-def test_patches_cut_the_border_of_a_contact_that_no_closed_form_gives():
-    """A ball on a layer four times as thick as the contact's radius."""
-    on_gel = {"probe": {"kind": "sphere", "diameter_mm": 24.0}, "steps": [{"move_mm": {"z": 0.52}}]}
-    state, finer = (on_block(across, (80.0, 70.0, 10.0), 1.0, 0.3, **on_gel) for across in (12, 37))
+@pytest.mark.parametrize(
+    ("size_mm", "nu", "friction", "diameter_mm", "depth_mm", "many"),
+    [((132.0, 118.0, 3.09), 0.49, 1.0, 88.0, 0.137, 24), ((80.0, 70.0, 10.0), 0.3, 0.0, 24.0, 0.52, 37)],
+)
+def test_patches_cut_the_border_of_a_ball_that_no_closed_form_gives(size_mm, nu, friction, diameter_mm, depth_mm, many):
+    """A ball that sticks to a layer as thick as the contact's radius; one on a layer four times as thick."""
+    ball_on = {"probe": {"kind": "sphere", "diameter_mm": diameter_mm}, "steps": [{"move_mm": {"z": depth_mm}}]}
+    state, finer = (on_block(across, size_mm, 1.0, nu, friction=friction, **ball_on) for across in (12, many))
     off, _ = relative(finer, state)
     assert off < state.error.force < 3.0 * off
 
