@@ -34,53 +34,53 @@ UNITS = {
 }
 
 
-LATER: tuple[tuple[str, object], ...] = (
-    ("back", "free"),
-    ("youngs_modulus_mpa", None),
-    ("poisson_ratio", None),
-    ("stiff", False),
-    ("distortion", 0.0),
-    ("thickness_mm", 0.0),
-    ("deforms", False),
-    ("law", "linear"),
-    ("law_ratios", []),
-    ("relaxation", []),
-    ("seconds", 0.0),
-    ("renderer", "auto"),
-    ("paths", 64),
-    ("colours", []),
-    ("dust", None),
-    ("gloss", None),
-    ("texture", None),
-    ("hot_pixels", 0),
-    ("dead_pixels", 0),
-    ("row_noise_e", 0.0),
-    ("column_noise_e", 0.0),
-    ("frames_per_second", None),
-    ("readout_ms", 0.0),
-    ("haze", 0.0),
-    ("haze_px", 30.0),
-    ("ghost", 0.0),
-    ("ghost_px", [8.0, 0.0]),
-    ("smear", 0.0),
-    ("flicker", 0.0),
-    ("flicker_hz", 100.0),
-    ("auto_exposure", 0.0),
-    ("auto_gain", 0.0),
-    ("white_balance", "off"),
-    ("adc_bits", 0),
-    ("bits", 8),
-    ("albedo", None),
-    ("transmittance", 0.0),
-    ("outside", [0.0, 0.0, 0.0]),
-    ("lit", []),
-    ("depth_mm", None),
-    ("abbe_number", None),
-    ("scratches", None),
-    ("bubbles", None),
-    ("length_mm", 0.0),
-    ("hollow", 0.0),
-)
+LATER: dict[str, object] = {
+    "back": "free",
+    "youngs_modulus_mpa": None,
+    "poisson_ratio": None,
+    "stiff": False,
+    "distortion": 0.0,
+    "thickness_mm": 0.0,
+    "deforms": False,
+    "law": "linear",
+    "law_ratios": [],
+    "relaxation": [],
+    "seconds": 0.0,
+    "renderer": "auto",
+    "paths": 64,
+    "colours": [],
+    "dust": None,
+    "gloss": None,
+    "texture": None,
+    "hot_pixels": 0,
+    "dead_pixels": 0,
+    "row_noise_e": 0.0,
+    "column_noise_e": 0.0,
+    "frames_per_second": None,
+    "readout_ms": 0.0,
+    "haze": 0.0,
+    "haze_px": 30.0,
+    "ghost": 0.0,
+    "ghost_px": [8.0, 0.0],
+    "smear": 0.0,
+    "flicker": 0.0,
+    "flicker_hz": 100.0,
+    "auto_exposure": 0.0,
+    "auto_gain": 0.0,
+    "white_balance": "off",
+    "adc_bits": 0,
+    "bits": 8,
+    "albedo": None,
+    "transmittance": 0.0,
+    "outside": [0.0, 0.0, 0.0],
+    "lit": [],
+    "depth_mm": None,
+    "abbe_number": None,
+    "scratches": None,
+    "bubbles": None,
+    "length_mm": 0.0,
+    "hollow": 0.0,
+}
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so
 that files stored under a hash of all keys stay valid."""
 
@@ -90,10 +90,7 @@ def identity(value: Any) -> Any:
     (`LATER`)."""
     if isinstance(value, dict):
         kept = {k: v for k, v in value.items() if k not in ("source", "assumed")}
-        new = {
-            k: v for k, v in kept.items() if not any(k == key and v == old for key, old in LATER)
-        }
-        return {k: identity(v) for k, v in new.items()}
+        return {k: identity(v) for k, v in kept.items() if k not in LATER or v != LATER[k]}
     return [identity(v) for v in value] if isinstance(value, list) else value
 
 

@@ -94,7 +94,7 @@ class Sweep(Part):
                 raise ValueError("its numbers must be finite")
             return self
 
-        def grid(self, default: int) -> list[Any]:
+        def grid(self) -> list[Any]:
             """Return the axis's values on a grid."""
             return list(self.values)
 
@@ -132,7 +132,7 @@ class Sweep(Part):
                 raise ValueError(f"low = {self.low:g}: with log = true it must be greater than 0")
             return self
 
-        def grid(self, default: int) -> list[Any]:
+        def grid(self) -> list[Any]:
             """Return the axis's values on a grid."""
             return self.at(np.linspace(0.0, 1.0, self.steps) if self.steps > 1 else np.array([0.5]))
 

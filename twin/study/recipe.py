@@ -500,7 +500,10 @@ def _range(keys: list[Any], table: Mapping[str, Any], unit: str) -> str:
     field = _field_at(keys, table)
     if field is None:
         return ""
-    rules = [*field.metadata, *_rules_of_members(field.annotation)]
+    members = typing.get_args(field.annotation)
+    numbers = [m for m in members if typing.get_origin(m) is typing.Annotated]
+    others = [each for number in numbers for each in number.__metadata__]
+    rules = [*field.metadata, *(r for each in others for r in getattr(each, "metadata", [each]))]
     low, high = (
         next(
             (v for rule in rules for n in names if (v := getattr(rule, n, None)) is not None), None
@@ -509,20 +512,8 @@ def _range(keys: list[Any], table: Mapping[str, Any], unit: str) -> str:
     )
     if low is None or high is None:
         return ""
-    return " or ".join(
-        [f"{low:g} to {high:g}{' ' + unit if unit else ''}", *_words(field.annotation)]
-    )
-
-
-def _rules_of_members(annotation: Any) -> list[Any]:
-    """Return the rules of the numbers among a union's members."""
-    members = [m for m in typing.get_args(annotation) if typing.get_origin(m) is typing.Annotated]
-    return [
-        rule
-        for member in members
-        for each in member.__metadata__
-        for rule in getattr(each, "metadata", [each])
-    ]
+    words = _words(field.annotation)
+    return " or ".join([f"{low:g} to {high:g}{' ' + unit if unit else ''}", *words])
 
 
 def _words(annotation: Any) -> list[str]:
@@ -592,10 +583,8 @@ def _choose(annotation: Any, value: Any) -> Any:
         members = [_choose(a, value) for a in typing.get_args(annotation) if a is not type(None)]
         models = _models_in(annotation)
         tag = (value.get("kind") or value.get("shape")) if isinstance(value, Mapping) else None
-        for model in models:
-            if tag in [model.model_fields[key].default for key in _tags(model)]:
-                return model
-        return models[0] if models else members[0]
+        named = (m for m in models if tag in [m.model_fields[k].default for k in _tags(m)])
+        return next(named, models[0] if models else members[0])
     return annotation
 
 

@@ -46,7 +46,7 @@ class Designs:
         """Return the designs at (m, axes) numbers in [0, 1), axes in their order; the grid's if
         None."""
         if u is None:
-            grids = [axis.grid(sweep.count) for axis in sweep.axes.values()]
+            grids = [axis.grid() for axis in sweep.axes.values()]
             places = np.indices([len(grid) for grid in grids]).reshape(len(grids), -1).tolist()
             lists = [[grid[k] for k in place] for grid, place in zip(grids, places, strict=True)]
         else:
