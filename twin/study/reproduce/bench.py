@@ -146,6 +146,7 @@ class Entry:
     cpu_seconds: int
     memory_gb: float | None = None
     long: bool = False
+    notes: Sequence[str] = ()
     run: Callable[[Bench], Outcome]
 
 

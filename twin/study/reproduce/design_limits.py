@@ -214,12 +214,7 @@ def _conclusion(bench: Bench) -> Entry.Outcome:
             **_limit_numbers(_limit_of(chain.rig(bench), noise)),
         }
         records += Record.of_runs([numbers], label=name)
-    note = (
-        "The published sensor doesn't resolve 2 mm, in agreement with the paper; with every step "
-        f"taken it comes near. The forces are {FORCE_N:g} N on discs of 0.5 mm radius, the paper's "
-        "tracker being the two-pass centroid; the closed form is of a half-space seen straight on."
-    )
-    return Entry.Outcome(records=records, panels=(_limit_curves(),), notes=(note,))
+    return Entry.Outcome(records=records, panels=(_limit_curves(),))
 
 
 def _limit_curves() -> Panel:
@@ -294,12 +289,7 @@ def _prediction(bench: Bench) -> Entry.Outcome:
     ):
         bench.progress(name, number / 2)
         records += _predicted(bench, name, chain, printed)
-    note = (
-        "The paper swaps the two numbers (it prints a distance of 0.2 and a diameter of 1 mm). Its "
-        "rule is that resolution is twice the pitch; the finger is calibrated from its drawing "
-        "here, as 121 points would take 363 presses."
-    )
-    return Entry.Outcome(records=records, panels=[_narrow_forces(bench, chains)], notes=(note,))
+    return Entry.Outcome(records=records, panels=[_narrow_forces(bench, chains)])
 
 
 def _narrow_forces(bench: Bench, chains: Mapping[str, Chain]) -> Panel:
@@ -343,11 +333,7 @@ def _half_space(bench: Bench) -> Entry.Outcome:
         "motion (µm)",
         curves,
     )
-    note = (
-        "No picture here: this is the model itself, the papers' formula against the converged "
-        "block of equal rubber."
-    )
-    return Entry.Outcome(records=Record.of_runs([numbers]), panels=(panel,), notes=(note,))
+    return Entry.Outcome(records=Record.of_runs([numbers]), panels=(panel,))
 
 
 def _limiting_causes(bench: Bench) -> Entry.Outcome:
@@ -387,13 +373,7 @@ def _limiting_causes(bench: Bench) -> Entry.Outcome:
             _bars(f"{label}: width of a narrow force", at_half, width, of_width),
             _bars(f"{label}: two forces resolved", "least distance (mm)", apart, of_two),
         ]
-    note = (
-        "The limits are of a half-space seen straight on, by two layers with noise but no print "
-        "errors. The width of one force can come out below: the finger's pseudo-inverse sharpens "
-        "it at the price of what stands next to it, so read it with the distance at which two are "
-        "resolved."
-    )
-    return Entry.Outcome(records=records, panels=panels, notes=(note,))
+    return Entry.Outcome(records=records, panels=panels)
 
 
 def _bars(title: str, across: str, values: Mapping[str, float], limits: list[float]) -> Panel:
@@ -482,12 +462,7 @@ def _flat_times(bench: Bench) -> Entry.Outcome:
         ]
         curves[name] = 1e3 * seconds
     panel = _sorted_times(curves, "frame", "ms", {"70 Hz": 1e3 / 70})
-    note = (
-        "The paper's times are of a 1.8 GHz Pentium 4 in 2003 and hold 0.03 s of capture and 0.02 "
-        "s of noise reduction; they differ from these by the machine and by capture, which nothing "
-        "in the twin explains."
-    )
-    return Entry.Outcome(records=records, panels=(panel,), notes=(note,))
+    return Entry.Outcome(records=records, panels=(panel,))
 
 
 def _finger_times(bench: Bench) -> Entry.Outcome:
@@ -510,8 +485,7 @@ def _finger_times(bench: Bench) -> Entry.Outcome:
         ]
         curves[what] = micros
     panel = _sorted_times(curves, "trial", "µs", {"60 frames a second": 1e6 / 60})
-    note = "The paper's times are of a 2.8 GHz Pentium D in 2008; these are of this machine."
-    return Entry.Outcome(records=records, panels=(panel,), notes=(note,))
+    return Entry.Outcome(records=records, panels=(panel,))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -526,7 +500,6 @@ class _Hardware:
     presses: Mapping[str, Callable[[Rig], Press]]
     width_mm: float | None
     rate_hz: float
-    note: str
 
 
 HARDWARE = (
@@ -537,9 +510,6 @@ HARDWARE = (
         presses={"under the 5 mm pillar": lambda _: PILLAR_PRESS},
         width_mm=None,
         rate_hz=1 / FRAME_S,
-        note="Runs are made sensors. A field error is over the sites of each chain, finer ones "
-        "being the harder test: 1 mm apart (the paper's 1.5). The paper's rate is of its machine, "
-        "with capture.",
     ),
     _Hardware(
         own=Chain(paper="sato", method="pinv"),
@@ -563,9 +533,6 @@ HARDWARE = (
         },
         width_mm=5.0,
         rate_hz=1e6 / CALCULATED_US,
-        note="Runs are exposures of one made finger. A field error is over the sites of each "
-        "chain, finer ones being the harder test: 81 sites 1.25 mm apart (the paper's 2.5). The "
-        "paper's rate is of its machine, of the calculation alone.",
     ),
 )
 
@@ -683,8 +650,7 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Entry.Outcome:
     )
     compare(lambda chain, _: {rate: _rate_hz(bench, press, chain)}, same_camera, (ONCE,))
     records[-1] = replace(records[-1], n=RATED)
-    notes = (hardware.note, "The weight of the inverse is given when times are taken.")
-    return Entry.Outcome(records=records, notes=notes)
+    return Entry.Outcome(records=records)
 
 
 DESIGN_LIMITS: dict[str, Callable[[Bench], Entry.Outcome]] = {

@@ -175,9 +175,8 @@ def _figure_6(bench: Bench) -> Entry.Outcome:
             title="The 25 points where force is applied", picture=picture, marks_px=marks
         ),
     )
-    note = "The paper gives 15 px in section II D and 10 to 20 px in section IV."
     records = (width, *Record.of_runs([{pressed: float(len(points))}]), found)
-    return Entry.Outcome(records=records, panels=panels, notes=(note,))
+    return Entry.Outcome(records=records, panels=panels)
 
 
 def _shot_numbers(shot: Shot) -> Numbers:

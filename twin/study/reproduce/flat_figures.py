@@ -195,16 +195,9 @@ def _figure_9(bench: Bench) -> Entry.Outcome:
         for law in ("neo_hookean", "linear")
     ]
     panel = Panel.shifts("Red layer, 5 mm pillar along z", runs[0], 20.0, "red")
-    note = (
-        "Two numbers depend on one load that isn't printed: 10 px, and a field that looks radial. "
-        "At the load that gives 10 px both hold. Linear theory is far from its bounds there; "
-        "finite strain, solved up to a lower load, moves the markers more, so the true load is "
-        "lower than the one stated."
-    )
     return Entry.Outcome(
         records=[*records, *Record.of_runs([{harder: moved[0] / moved[1]}])],
         panels=(panel,),
-        notes=(note,),
     )
 
 
@@ -461,13 +454,7 @@ def _figure_16(bench: Bench) -> Entry.Outcome:
         "cosine",
         {what: (apart, values, "o-") for what, values in runs[0].items()},
     )
-    note = (
-        "According to the paper the two make quite the same movement (a cosine of 1), in a figure "
-        "of unknown range. On the middle row of one layer they do, over as much of it as the table "
-        "states; both layers at once differ (which is why the sensor has two), and so "
-        "does the plane, as the pair moves the markers on both sides of it the other way."
-    )
-    return Entry.Outcome(records=records, panels=(panel,), notes=(note,))
+    return Entry.Outcome(records=records, panels=(panel,))
 
 
 _Fields = dict[tuple[int, float], Floats]

@@ -171,7 +171,7 @@ def _run(out: Path, entry: Entry, bench: Bench) -> None:
         "title": entry.title,
         "source": entry.source,
         "protocol": entry.protocol,
-        "notes": [*outcome.notes, *([bench.validity] if bench.validity else [])],
+        "notes": [*entry.notes, *outcome.notes, *([bench.validity] if bench.validity else [])],
         "seconds": round(time.perf_counter() - started, 2),
         "cpu_seconds": round(time.process_time() - worked, 2),
         "records": [{**about, **record.row(), **sensor} for record in outcome.records],

@@ -141,18 +141,7 @@ def _table(protocol: Protocol, bench: Bench) -> Entry.Outcome:
         label = ", this project's tracker"
         ours += _compared(bench, protocol, way, measured, tracker=OUR_TRACKER, label=label)[0]
     panels = _histograms(bench, protocol, "x")
-    return Entry.Outcome(records=theirs + ours, panels=panels, notes=(_note(protocol),))
-
-
-def _note(protocol: Protocol) -> str:
-    which = "the rest picture itself" if protocol.exposure == 0 else "a second exposure at rest"
-    text = "" if protocol is KAMIYAMA else " The paper's section IV rounds its table to 0.15 px."
-    return (
-        f"Digital: {which}, displaced by {protocol.shift_px} px in the computer, windows fixed "
-        "on the rest state. Re-rendered: every marker moved so that its centre shifts by as much, "
-        "filmed again with noise of its own. A displaced picture takes its mosaic, lines and "
-        f"compression along and so hides what they do to a moving marker.{text}"
-    )
+    return Entry.Outcome(records=theirs + ours, panels=panels)
 
 
 def _histograms(bench: Bench, protocol: Protocol, axis: str) -> list[Panel]:
@@ -223,7 +212,7 @@ def _figure_8(bench: Bench) -> Entry.Outcome:
         "to end at 0.4 px, a normal one ends at 0.6 to 0.75 px: the paper reads a band off its "
         f"histograms. 95 % of the markers lie within {' and '.join(bands)}."
     )
-    return Entry.Outcome(records=records, panels=panels, notes=(_note(KAMIYAMA), note))
+    return Entry.Outcome(records=records, panels=panels, notes=(note,))
 
 
 SHIFTED: dict[str, Callable[[Bench], Entry.Outcome]] = {
