@@ -3,9 +3,7 @@ lines and records out.
 
 A command yields what it has to say as it comes: a line, or a line (which may be empty) with the
 record that it shows. `twin.cli` prints the lines, or both as JSON. Every decision lives elsewhere.
-Heavy packages are imported inside the functions, so that ``twin --help`` prints at once. First come
-the options that commands share and what all of them use, then the commands: a run, its explanation,
-meshes, scenes, checks, views, real sensors, and many presses.
+Heavy packages are imported inside the functions, so that ``twin --help`` prints at once.
 """
 
 from __future__ import annotations

@@ -27,19 +27,10 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Rectangles:
-    """Plane rectangles on the sensing surface, each under a uniform traction.
-
-    Attributes
-    ----------
-    centre_mm
-        (k, 3) centres on the outer surface.
-    frames
-        (k, 3, 3) right-handed frames; rows are the two side directions and the inward normal.
-    half_mm
-        (k, 2) half side lengths along the first two rows of the frame.
-    force_n
-        (k, 3) total force of each rectangle, global axes.
-    """
+    """Plane rectangles on the sensing surface, each under a uniform traction: (k, 3) centres on the
+    outer surface, (k, 3, 3) right-handed frames, whose rows are the two side directions and the
+    inward normal, (k, 2) half side lengths along the first two, and (k, 3) total forces, global
+    axes."""
 
     centre_mm: Points
     frames: Floats

@@ -167,31 +167,13 @@ class MarkerLayer(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerSet:
-    """All markers of a sensor at rest, in their one order.
-
-    Attributes
-    ----------
-    layer
-        (n,) layer names.
-    chart
-        (n, 2) surface coordinates, mm.
-    points
-        (n, 3) centres, mm.
-    normals
-        (n, 3) unit inward normals of their level sets.
-    """
+    """All markers of a sensor at rest, in their one order: (n,) layer names, (n, 2) surface
+    coordinates and (n, 3) centres, mm, and (n, 3) unit inward normals of their level sets."""
 
     @dataclass(frozen=True, kw_only=True)
     class Prints:
-        """How single markers differ from the drawing, apart from their places.
-
-        Attributes
-        ----------
-        size, shade
-            (n,) factors on diameter and reflectance.
-        missing
-            (n,) markers that are not there; they keep their rows.
-        """
+        """How single markers differ from the drawing: (n,) factors on diameter and reflectance, and
+        which are not there; these keep their rows."""
 
         size: Floats
         shade: Floats

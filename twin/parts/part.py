@@ -200,11 +200,9 @@ class Part(BaseModel):
 
 
 class Purpose(IntEnum):
-    """What random numbers are drawn for; the values are part of the file format, never reuse one.
-
-    Every purpose and index has a stream of its own under one root seed: a draw more for one changes
-    no other, and a press draws the same noise whatever was computed before.
-    """
+    """What random numbers are drawn for, part of the file format: never reuse a value. Every
+    purpose and index has its own stream under one root seed, so that a draw more for one changes no
+    other."""
 
     PRINT = 0
     TOLERANCE = 1

@@ -151,11 +151,9 @@ class ForceCone(Part):
 
     Attributes
     ----------
-    normal_n
-        Its part along z: a number or a distribution.
-    ratio
-        Its part sideways over that along z: a number or a distribution. With friction mu on a flat
-        face it must stay below mu.
+    normal_n, ratio
+        Its part along z, and that sideways over it: numbers or distributions. With friction mu on a
+        flat face the ratio must stay below mu.
     """
 
     normal_n: Any

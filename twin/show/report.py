@@ -4,8 +4,6 @@ A part that the run didn't compute is left out, so that every run has a report. 
 in the picture if there is one, otherwise in the body; true and estimated forces in the same colours
 and to the same scale; under the probe, which patches stick and which slip, and the pressure with
 its closed form.
-
-The file's order: `report`; its sections, first those of text and numbers, then
 """
 
 from __future__ import annotations

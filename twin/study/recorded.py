@@ -3,9 +3,6 @@
 A frame that can't be read or reconstructed is a row with its reason, so that a sequence goes on.
 Nothing grows with the number of frames but the output. Output grows under a temporary name and gets
 its own when closed, also after an interrupt; a killed program leaves the temporary file.
-
-The file's order: `reconstruct_recording`; the result of a frame, its time and its doubts; and what
-is written: the table, the summary, the rows on screen, the options in words, the drawings.
 """
 
 from __future__ import annotations
@@ -96,9 +93,10 @@ def reconstruct_recording(
         ``WxH`` and format of raw frames.
     frames_per_second, times
         Rate of the frames, or a CSV file with the columns frame, time_s: forces of rubber that
-        relaxes. None is the rate in the calibration's recipe; at 0 each frame is read by itself.
+        relaxes. At a rate of 0 each frame is read by itself.
     options
-        Of `twin.sense.reconstruct.reconstruct`; None is the value in the calibration's recipe.
+        Of `twin.sense.reconstruct.reconstruct`; None is the calibration's recipe, also for the
+        rate.
 
     Raises
     ------

@@ -84,15 +84,12 @@ class Motion:
 
     Attributes
     ----------
-    displacement_mm
-        (n, 3) displacements of the marker centres, mm.
-    gradient
-        (n, 3, 3) displacement gradients du_i/dx_j there.
+    displacement_mm, gradient
+        (n, 3) displacements of the centres, and (n, 3, 3) gradients du_i/dx_j there.
     error
         Estimated largest error of the displacements over the largest displacement: of the mesh.
     cover
-        Motion of the cover and of specks where the camera sees them, and probes that it sees; None
-        where pictures don't show any.
+        Motion of the cover, specks and probes that the camera sees; None where there are none.
     """
 
     displacement_mm: Points
@@ -404,22 +401,12 @@ class Sensor:
 
     @one_blas_thread()
     def quick_motion(self, load: Load, *, pictured: bool = True, gather: bool = True) -> Motion:
-        """Return the motion of the actual markers, on the first level of mesh only.
+        """Return the motion of the actual markers, on the first level of mesh only, for many loads.
 
-        For many loads: `motion`, but patches far above all markers are gathered into a few point
-        forces (`twin.world.elasticity.discretise`), those of every contact by themselves, and no
-        finer mesh is used.
-
-        Parameters
-        ----------
-        load
-            The load.
-        pictured
-            Whether a picture will show it: gradients are computed where markers strain, and the
-            motion of a cover that deforms. Without gradients beads are not turned, which no picture
-            shows.
-        gather
-            Whether patches may be gathered.
+        With ``gather``, patches far above all markers are gathered into a few point forces
+        (`twin.world.elasticity.discretise`), those of every contact by themselves. Only where
+        ``pictured`` are gradients computed, where markers strain, and the motion of a cover that
+        deforms; without gradients beads are not turned, which no picture shows.
         """
         from twin.world.elasticity.discretise import gathered
 

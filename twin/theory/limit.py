@@ -62,17 +62,9 @@ _CHUNK = 500
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """What each of m designs can reach.
-
-    Attributes
-    ----------
-    fwhm_normal_mm, fwhm_tangential_mm
-        (m,) full width at half maximum of the estimate of a point force.
-    two_point_mm
-        (m,) least distance of two equal pushes between which the estimate dips by `DIP`.
-    force_sd_n
-        (m,) standard deviation of the size of one push over the prior's disc at a known place.
-    """
+    """What each of m designs can reach: (m,) full widths at half maximum of the estimate of a point
+    force; least distance of two equal pushes between which it dips by `DIP`; standard deviation of
+    the size of one push over the prior's disc at a known place."""
 
     fwhm_normal_mm: Floats
     fwhm_tangential_mm: Floats

@@ -123,27 +123,20 @@ class Job:
 
 
 class Pool:
-    """This process, processes on this machine that start when they pay, or a cluster.
+    """This process, processes here that start when they pay (``workers`` at most), or a
+    ``scheduler``'s.
 
     A context manager, which stops the processes in the end. This process begins with the first task
-    and computes all of them if that takes less time than others take to start. ``workers`` is the
-    most processes here (1 works in this one); a ``scheduler``'s are used instead.
+    and computes all of them if that takes less time than others take to start.
     """
 
     @dataclass(frozen=True, kw_only=True)
     class Scheduler:
-        """A dask scheduler on a cluster.
+        """A dask scheduler on a cluster, ``tcp://host:8786``, or ``tls://`` with PEM files: the
+        authority of all certificates, and this process's certificate and key.
 
         Whoever can connect to it can run code as the user of its workers and of this process:
         without TLS it belongs on a private network only.
-
-        Attributes
-        ----------
-        address
-            ``tcp://host:8786``, or ``tls://host:8786`` with the three files.
-        ca, cert, key
-            PEM files: the authority that signed all certificates, and the certificate and key of
-            this process.
         """
 
         address: str

@@ -7,10 +7,6 @@ body, because the press is most of the work on the finger.
 
 The function of an entry states what is measured, the numbers taken from that, causes and ranges.
 `Bench.compare` makes the runs and their records (`twin.study.reproduce.record`).
-
-The file's order: constants; entries (`Entry`, `Outcome`); made sensors (`Rig`, kept by `Bench`);
-sensors with software (`Chain`, `Shot`); the tests that several entries share (`Protocol`,
-`ForceLine`).
 """
 
 from __future__ import annotations

@@ -107,8 +107,6 @@ def reproduce(
         and the lines are the list of entries with the time and memory that each takes.
     out
         Folder; what it holds already and still stands is not run again.
-    seed
-        Root seed of sensors and noise.
     quick
         One made sensor, fewer steps and no long entries, for a first look.
 

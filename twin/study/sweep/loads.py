@@ -51,12 +51,9 @@ class Pushes:
     patches
         k squares: the middle first, then the presses, then the pairs.
     loads
-        (loads, k, 3) force of every patch under each load, N: the middle alone, each press, each
-        pair.
-    presses
-        Number of presses; load 0 is the middle, 1 to ``presses`` follow, the rest are pairs.
-    pair_mm
-        Distances of the pairs; none with a probe.
+        (loads, k, 3) force of every patch, N: the middle alone, each press, each pair.
+    presses, pair_mm
+        Number of presses, and distances of the pairs; none with a probe.
     probe
         Whether the scene's probe presses in place of the patches.
     """

@@ -360,10 +360,8 @@ class Swept:
     ----------
     columns
         (m,) numbers by ``<fidelity>_<metric>``; NaN where a design was not taken so far.
-    status, error, fidelity
-        (m,) ok, dropped or failed; why; the last fidelity.
-    score
-        (m,) the distance to the targets, at the best fidelity.
+    status, error, fidelity, score
+        (m,) ok, dropped or failed; why; the last fidelity; the distance to the targets.
     order
         The designs that are ok, the best first, those of the last fidelity before all others.
     keys
