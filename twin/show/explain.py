@@ -27,7 +27,6 @@ _FACTORS = ("tracking.over_bound",)
 NEARLY_INCOMPRESSIBLE = 0.45
 """Poisson's ratio from which a layer near the surface hardly moves sideways under a push."""
 
-
 _ROUND_OFF = 1e-9
 
 
@@ -45,7 +44,6 @@ class _Finding:
     def line(self) -> str:
         """Return it as a line for a terminal, the verdict first."""
         behind = f" ({_good(self.key, LIMITS[self.key][0])})" if self.verdict else ""
-        return f"{self.verdict or '-':5s} {self.sentence}{behind}"
         return f"{self.verdict or '-':5s} {self.sentence}{behind}"
 
 
