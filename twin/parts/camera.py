@@ -129,8 +129,7 @@ class Camera(Part):
             return self
 
         def lines(self, low: Sequence[float], high: Sequence[float]) -> Floats:
-            """Return the (count, 2, 2) ends of middle lines between two corners, mm; round ones
-            have one place."""
+            """Return the (count, 2, 2) ends of middle lines between two corners, mm."""
             rng = np.random.default_rng(self.seed)
             middles = rng.uniform(low[:2], high[:2], (self.count, 2))
             angle = rng.uniform(0, np.pi, self.count)
@@ -191,8 +190,7 @@ class Camera(Part):
 
     @property
     def is_plain(self) -> bool:
-        """Whether the lens is a pinhole or thin, about its axis, without distortion or
-        vignetting."""
+        """Whether the lens is a pinhole or thin, about its axis, and bends and dims nothing."""
         middle = ((self.width_px - 1) / 2, (self.height_px - 1) / 2)
         off = float(np.abs(np.subtract(self.centre_px, middle)).max())
         bent = self.lens != "pinhole" or any(self.distortion) or self.aspect != 1
@@ -229,8 +227,7 @@ class Camera(Part):
         return _tilted(tuple(self.tilt_deg))
 
     def air_gap_mm(self, base_z_mm: float) -> float:
-        """Return the way from the last layer to the pupil, mm; `RecipeError` where that lies in
-        front."""
+        """Return the way from the last layer to the pupil, mm; `RecipeError` for one in front."""
         back = base_z_mm + sum(layer.thickness_mm for layer in self.layers)
         gap = self.pupil_mm[2] - back
         if gap < -1e-9:
@@ -321,8 +318,7 @@ class Light(Part):
         return self
 
     def emission(self, cosine: Floats) -> Floats:
-        """Return the intensity at cosines of the angle to -z, 1 along -z for a power of the
-        cosine."""
+        """Return the intensity at cosines of the angle to -z, 1 along -z for a cosine's power."""
         if self.profile is None:
             falling: Floats = (
                 np.maximum(cosine, 0.0) ** self.exponent if self.exponent else np.ones_like(cosine)
@@ -365,7 +361,7 @@ class Light(Part):
         return np.array(self.colours or np.ones((len(self.positions_mm), 3)), float)
 
     def points(self) -> tuple[Points, Floats]:
-        """Return (n, 3) points that stand for the LEDs, mm, and (n,) intensities in each LED's
+        """Return (n, 3) points that stand for LEDs, mm, and (n,) intensities in each one's
         brightest channel. A disc is its middle and a hexagon at sqrt(2/3) of the radius: exact for
         degree 5."""
         places = np.array(self.positions_mm, float)
@@ -651,8 +647,7 @@ class Ccd(Part):
         return self.model_copy(update={k: v for k, v in preset.items() if getattr(self, k) is None})
 
     def pixel_sd(self, counts: float) -> float:
-        """Return a pixel's standard deviation at so many counts, counts: shot, read and rounding
-        noise."""
+        """Return a pixel's standard deviation at counts, counts: shot, read and rounding noise."""
         own = self.spelt_out()
         gain = own.full_well_e / FULL_SCALE
         return float(np.sqrt((counts * gain + own.read_noise_e**2) / gain**2 + 1 / 12))

@@ -152,8 +152,7 @@ class Traction:
     def rectangle(
         centre_mm: tuple[float, ...], size_mm: tuple[float, float], force_n: Vector
     ) -> Load:
-        """Return a uniform traction on a rectangle of ``size_mm`` (along x, along y) with total
-        ``force_n``."""
+        """Return a uniform traction on a rectangle (along x, along y) with total ``force_n``."""
         if np.shape(size_mm) != (2,):
             raise InputError(
                 "rectangle traction: size_mm must be two numbers (along x, along y), got "
@@ -168,14 +167,12 @@ class Traction:
 
     @staticmethod
     def bump(centre_mm: tuple[float, ...], radius_mm: float, force_n: Vector) -> Load:
-        """Return a smooth traction max(0, 1 - r^2/a^2)^2 in the constant direction of ``force_n``,
-        its total."""
+        """Return a traction max(0, 1 - r^2/a^2)^2 in the direction of ``force_n``, its total."""
         return _single("bump", centre_mm, _across(radius_mm), force_n)
 
     @staticmethod
     def twist(centre_mm: tuple[float, ...], radius_mm: float, torque_nmm: float) -> Load:
-        """Return a tangential traction proportional to r with total ``torque_nmm``, turning x
-        towards y."""
+        """Return a tangential traction proportional to r with total ``torque_nmm``, from x to y."""
         return _single("twist", centre_mm, _across(radius_mm), (0.0, 0.0, 0.0), torque_nmm)
 
 

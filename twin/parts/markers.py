@@ -93,8 +93,7 @@ class MarkerLayer(Part):
         return self
 
     def chart(self) -> Chart:
-        """Return the (columns * rows, 2) surface coordinates of the markers, mm, s outer and t
-        inner."""
+        """Return the (columns * rows, 2) surface coordinates, mm, s outer and t inner."""
         return grid_points(*self.axes())
 
     def axes(self) -> tuple[Floats, Floats]:

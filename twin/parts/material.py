@@ -138,6 +138,6 @@ def shear_modulus(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulu
 
 
 def plane_strain_modulus(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulus:
-    """Return E* = E / (1 - nu^2), in the unit of E: of contact with a rigid body (Johnson 1985,
-    section 4.2)."""
+    """Return E* = E / (1 - nu^2), in the unit of E (contact with a rigid body; Johnson 1985,
+    4.2)."""
     return youngs_modulus_mpa / (1.0 - poisson_ratio**2)

@@ -86,7 +86,7 @@ that files stored under a hash of all keys stay valid."""
 
 
 def identity(value: Any) -> Any:
-    """Return a plain value as hashes take it: without provenance and keys that say nothing new
+    """Return a plain value as hashes take it: without provenance and what says nothing new
     (`LATER`)."""
     if isinstance(value, dict):
         kept = {k: v for k, v in value.items() if k not in ("source", "assumed")}
@@ -187,7 +187,7 @@ class Part(BaseModel):
         return type(value).model_fields if isinstance(value, Part) else ()
 
     def unsourced(self) -> list[str]:
-        """Return the keys that hold numbers of the recipe and have neither ``source`` nor
+        """Return the keys with numbers of the recipe that have neither ``source`` nor
         ``assumed``."""
         if isinstance(self.source, str) or isinstance(self.assumed, str):
             return []

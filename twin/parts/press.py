@@ -305,8 +305,7 @@ class Step(Part):
 
     @property
     def given(self) -> tuple[float, ...]:
-        """The same six: the force (torque) where it holds, else the motion in mm (the turn in
-        radians)."""
+        """The same six: force (torque) where it holds, else motion in mm (turn in radians)."""
         forces = (*self.force_n, *self.torques_nmm)
         moves = [m or 0.0 for m in self.move_mm] + [math.radians(t or 0.0) for t in self.turns_deg]
         return tuple(m if f is None else f for f, m in zip(forces, moves, strict=True))
@@ -457,8 +456,8 @@ class Press(Part):
 
     @property
     def width_mm(self) -> float:
-        """How wide the probe is at most, mm; infinite for a surface of the user's own, whose file
-        is not read here."""
+        """How wide the probe is at most, mm; infinite for a user's surface, whose file is not read
+        here."""
         probe = self.probe
         if isinstance(probe, Pillar):
             return max(probe.size_mm)
@@ -469,10 +468,8 @@ class Press(Part):
     @staticmethod
     @lru_cache(maxsize=64)
     def frame_of(direction: Vector) -> Floats:
-        """Return the (3, 3) axes, as rows, of a probe that comes along a direction: its own z.
-
-        x is the global x, made perpendicular to z; where the probe comes along that, the global y.
-        """
+        """Return the (3, 3) axes, as rows, of a probe that comes along a direction: its own z; x is
+        the global x, or where that is along z the global y, made perpendicular to z."""
         along = np.array(direction, float) / np.linalg.norm(direction)
         first = np.array([1.0, 0.0, 0.0]) if abs(along[0]) < 0.999 else np.array([0.0, 1.0, 0.0])
         first = first - (first @ along) * along
@@ -493,18 +490,9 @@ class Press(Part):
         return (_step(force_n=(fx, fy, fz)),)
 
     def in_own_axes(self, frame: Floats) -> tuple[tuple[tuple[bool, ...], tuple[float, ...]], ...]:
-        """Return (by_force, given) of every step along the probe's own axes (see `Step`).
-
-        Parameters
-        ----------
-        frame
-            (3, 3) the probe's own axes, as rows (`Press.frame_of`).
-
-        Raises
-        ------
-        ValueError
-            The first step doesn't push, or oblique axes mix what is held by force and by motion.
-        """
+        """Return (by_force, given) of every step (see `Step`) along the probe's own axes, the rows
+        of ``frame``. ValueError where the first step doesn't push, or oblique axes mix force and
+        motion."""
         found = []
         own = frame[0, 0] == frame[2, 2] == 1.0
         for number, step in enumerate(self.path, start=1):

@@ -150,15 +150,15 @@ class Scene(Part):
         surface_table: bool = False
 
         def displacement_for(self, modulus_pct: float) -> float:
-            """Return the largest error of displacements of a sensor whose Young's modulus is known
-            to so many percent."""
+            """Return the largest error of displacements where Young's modulus is known to so many
+            percent."""
             if not isinstance(self.displacement, str):
                 return self.displacement
             return min(max(SHARE * modulus_pct / 100, TIGHTEST), LOOSEST)
 
         def patches_for(self, widths_mm: Sequence[float], depths_mm: Sequence[float]) -> int:
-            """Return the contact patches across probes of given widths, over markers at given
-            depths, mm."""
+            """Return the contact patches across probes of some widths, over markers at depths,
+            mm."""
             if not isinstance(self.contact_patches, str):
                 return self.contact_patches
             if not widths_mm or not depths_mm:
@@ -412,8 +412,8 @@ class Scene(Part):
 
     @property
     def optics(self) -> tuple[Camera, float, float]:
-        """What `twin.theory.optics` takes of a scene with a camera: that, the refractive index, and
-        the height of the base, mm."""
+        """Camera, refractive index and height of the base, mm, as `twin.theory.optics` takes
+        them."""
         return self.imaging[0], self.material.refractive_index, self.body.base_z_mm
 
     @property
@@ -433,8 +433,7 @@ class Scene(Part):
 
     @property
     def displacement_error(self) -> float:
-        """Largest error of a marker's displacement over the largest displacement that is asked
-        for."""
+        """Largest error of a marker's displacement asked for, over the largest displacement."""
         made = self.tolerance.preset != "none"
         return self.accuracy.displacement_for(self.tolerance.youngs_modulus_pct if made else 0.0)
 

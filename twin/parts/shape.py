@@ -33,8 +33,8 @@ class Body(Part):
     @property
     @abstractmethod
     def pieces(self) -> tuple[str, ...]:
-        """Names of the smooth pieces of the boundary, in the order of `piece_distances`:
-        ``sensing`` comes first, ``held``, the base, last."""
+        """Names of the boundary's smooth pieces in order: ``sensing`` first, ``held``, the base,
+        last."""
 
     @abstractmethod
     def piece_distances(self, points: Points) -> Floats:
@@ -46,8 +46,7 @@ class Body(Part):
 
     @abstractmethod
     def chart_points(self, chart: Chart, depth_mm: Floats | float = 0.0) -> Points:
-        """Return the (n, 3) points at arc lengths (s, t) on the outer surface, ``depth_mm`` below
-        it."""
+        """Return the (n, 3) points ``depth_mm`` below arc lengths (s, t) on the outer surface."""
 
     @abstractmethod
     def chart_of(self, points: Points) -> Chart:
@@ -55,8 +54,7 @@ class Body(Part):
 
     @abstractmethod
     def surface_from_above(self, xy: Floats) -> Points:
-        """Return the (n, 3) points of the sensing surface met from -z at (x, y); NaN where there is
-        none."""
+        """Return the (n, 3) points of the sensing surface met from -z at (x, y); NaN for none."""
 
     @property
     @abstractmethod
@@ -79,8 +77,7 @@ class Body(Part):
 
     @property
     def has_smooth_border(self) -> bool:
-        """Whether the sensing surface goes on smoothly, as a rounding, where it is not pressed any
-        more."""
+        """Whether the sensing surface goes on as a rounding where it is not pressed any more."""
         return False
 
     def sheet_distances(self, points: Points) -> Floats:
@@ -92,8 +89,7 @@ class Body(Part):
         return self.piece_normals(points)
 
     def from_sheets(self, points: Points, sheet: Ints) -> tuple[Floats, Floats]:
-        """Return (n,) distances, mm, of (n, 3) points from one sheet (n,) each, and their gradients
-        (n, 3)."""
+        """Return distances (n,), mm, of (n, 3) points from sheets (n,), and gradients (n, 3)."""
         row = np.arange(len(points))
         return self.sheet_distances(points)[row, sheet], self.sheet_normals(points)[row, sheet]
 
@@ -107,8 +103,7 @@ class Body(Part):
 
     @property
     def held_pieces(self) -> tuple[int, ...]:
-        """Indices into `pieces` of the pieces that are bonded to something rigid; all others are
-        free."""
+        """Indices into `pieces` of those bonded to something rigid; all others are free."""
         return (len(self.pieces) - 1,)
 
     @property
@@ -118,21 +113,18 @@ class Body(Part):
 
     @property
     def layer_mm(self) -> float | None:
-        """Thickness H, mm, of the layer 0 <= z <= H that the body is a piece of; None for others.
-
-        It is held wherever it meets z = H and nowhere else, over no less than is pressed of z = 0.
-        """
+        """Thickness H, mm, of the layer 0 <= z <= H that the body is a piece of, held at z = H
+        only, over no less than is pressed of z = 0; None for others."""
         return None
 
     @property
     def is_convex(self) -> bool:
-        """Whether the body lies behind every tangent plane of its surface, as all the parametric
-        ones do."""
+        """Whether the body lies behind every tangent plane of its surface."""
         return True
 
     def is_level_around(self, x_mm: float, y_mm: float, reach_mm: float) -> bool:
-        """Return whether the sensing surface is known to be the plane z = 0 over a square,
-        ``reach_mm`` from (x, y) to either side."""
+        """Return whether the sensing surface is z = 0 over a square, ``reach_mm`` from (x, y) each
+        way."""
         if not self.is_convex:
             return False
         corners = np.array(
@@ -142,8 +134,7 @@ class Body(Part):
         return bool(not distances[:, 0].any() and distances[:, 1:].min() > 0.0)
 
     def stands_out(self, points: Points, normals: Floats) -> Floats:
-        """Return (n,) how far the body reaches over planes through ``points`` (n, 3) with inward
-        ``normals``, mm."""
+        """Return (n,) how far the body reaches over planes, ``normals`` pointing inwards, mm."""
         return np.zeros(len(points))
 
     @property
@@ -153,8 +144,8 @@ class Body(Part):
 
     @property
     def own_rim(self) -> Floats | None:
-        """Ends (e, 2, 3) of the edges where stress is singular, of a body given by triangles: where
-        held meets free, and where the surface is folded inwards."""
+        """Ends (e, 2, 3) of edges of singular stress, of given triangles: held meets free, or a
+        fold inwards."""
         return None
 
     def geometry(self) -> dict[str, Any]:
@@ -176,13 +167,12 @@ class Body(Part):
         return self.piece_distances(points)[:, 0]
 
     def contains(self, points: Points, margin_mm: float = 0.0) -> Bools:
-        """Return (n,) whether each point is at least ``margin_mm`` inside (a negative margin
-        forgives round-off)."""
+        """Return (n,) whether points are at least ``margin_mm`` inside; a negative one forgives
+        round-off."""
         return np.asarray(np.all(self.piece_distances(points) >= margin_mm, axis=1))
 
     def surface_samples(self, spacing_mm: float) -> Points:
-        """Return (n, 3) points on the body's surface, mm, about ``spacing_mm`` apart, by casting
-        rays from its middle."""
+        """Return (n, 3) surface points, mm, about ``spacing_mm`` apart, on rays from the middle."""
         low, high = np.array(self.bounds_mm)
         middle, reach = (low + high) / 2, float(np.linalg.norm(high - low))
         count = int(4 * np.pi * (reach / 2 / spacing_mm) ** 2) + 200
@@ -198,8 +188,8 @@ class Body(Part):
         return np.asarray(middle + inside[:, None] * direction)
 
     def require_inside(self, points: Points) -> None:
-        """Raise an `InputError`, naming the first offender, unless ``points`` (n, 3) are all in the
-        body or on it."""
+        """Raise an `InputError`, naming the first offender, unless all (n, 3) points are in the
+        body."""
         points = np.asarray(points, float)
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"points must have the shape (n, 3), got {points.shape}")
@@ -218,8 +208,8 @@ class Body(Part):
         )
 
     def frames(self, points: Points) -> Floats:
-        """Return (n, 3, 3) right-handed frames at surface points: rows are tangent s, tangent t,
-        inward normal."""
+        """Return (n, 3, 3) right-handed frames at surface points: tangents s and t, inward
+        normal."""
         normal = self.piece_normals(points)[:, 0]
         along_s = np.array([1.0, 0.0, 0.0]) - normal[:, :1] * normal
         length = np.linalg.norm(along_s, axis=1, keepdims=True)
@@ -276,8 +266,7 @@ class StlFile(Part):
 
     @staticmethod
     def renamed(value: Any, changed: Callable[[str], str]) -> Any:
-        """Return a plain value in which every probe's own file (``kind = "stl"``), however deep,
-        has another name."""
+        """Return a plain value in which every probe's own file, however deep, has another name."""
         if isinstance(value, Mapping):
             table = {key: StlFile.renamed(inner, changed) for key, inner in value.items()}
             own = table.get("kind") == "stl" and isinstance(table.get("file"), str)

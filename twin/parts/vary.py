@@ -185,7 +185,7 @@ class ForceCone(Part):
         return _made(self.normal_n), _made(self.ratio)
 
     def at(self, u: Floats) -> Any:
-        """Return (x, y, z) in N of (takes,) numbers u; every direction sideways is equally
+        """Return (x, y, z) in N of (takes,) numbers u; all directions sideways are equally
         likely."""
         normal_n, ratio = self._made
         normal = float(_inside(normal_n, u[1:]))
@@ -255,8 +255,7 @@ def flat(
     is_whole: Callable[[Mapping[str, Any]], bool] = lambda table: _kind(table) is not None,
     prefix: str = "",
 ) -> dict[str, Any]:
-    """Return values by dotted key, however the tables that hold them are nested: distributions, or
-    other tables that ``is_whole`` keeps."""
+    """Return values by dotted key: distributions, or other tables that ``is_whole`` keeps."""
     found: dict[str, Any] = {}
     for key, value in table.items():
         if key in ("source", "assumed"):  # of a table that only holds others

@@ -67,8 +67,7 @@ class BondedLayer:
 
     @classmethod
     def of(cls, body: Body, poisson_ratio: float) -> BondedLayer | None:
-        """Return the endless layer that a flat body is a piece of; None for others, and thick
-        ones."""
+        """Return the endless layer that a flat, thin body is a piece of; None for others."""
         low, high = np.array(body.bounds_mm)
         thickness = body.layer_mm
         if thickness is None or np.max((high - low)[:2]) <= THICK * thickness:
@@ -201,8 +200,7 @@ class BondedLayer:
 
     @staticmethod
     def wave_motions(kz: Floats, nu: float) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-        """Return U and W, each for decaying (q, 2) and growing (q, 2) waves, without
-        exponentials."""
+        """Return U and W for decaying (q, 2) and growing (q, 2) waves, without exponentials."""
         one = np.ones_like(kz)
         bend = 3.0 - 4.0 * nu
         u = np.column_stack([one, kz - bend]), np.column_stack([one, -bend - kz])

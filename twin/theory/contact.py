@@ -85,8 +85,8 @@ def hertz(
 
 
 def punch_pressure(distance_mm: Floats, radius_mm: float, force_n: float) -> Floats:
-    """Return F / (2 pi a sqrt(a^2 - r^2)), MPa, under a frictionless flat-ended cylinder; 0 outside
-    (section 3.4)."""
+    """Return F / (2 pi a sqrt(a^2 - r^2)), MPa, under a flat-ended cylinder; 0 outside (section
+    3.4)."""
     inside = radius_mm**2 - np.asarray(distance_mm, float) ** 2
     safe = np.where(inside > 0, inside, np.inf)
     return np.asarray(force_n / (2.0 * math.pi * radius_mm * np.sqrt(safe)))

@@ -74,8 +74,7 @@ def displacement(
 def compliance(
     points: Points, rectangles: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float
 ) -> Floats:
-    """Return the (3 n, 3 k) displacement in mm/N of ``points`` under unit forces on each
-    rectangle."""
+    """Return the (3 n, 3 k) displacement in mm/N of points under unit forces on each rectangle."""
     out = np.empty((3 * len(points), 3 * len(rectangles)))
     _compliance(*_pairs(points, rectangles), 1.0 - 2.0 * poisson_ratio, out)
     out *= _scale(youngs_modulus_mpa, poisson_ratio)

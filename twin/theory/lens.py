@@ -71,8 +71,8 @@ _NONE = 1e-30
 
 
 def lens(towards: Points, camera: Camera) -> Pixels:
-    """Return (n, 2) px of (n, 3) directions in camera axes (right, up, backward); NaN where not
-    shown."""
+    """Return (n, 2) px of (n, 3) directions (right, up, backward); NaN where the lens shows
+    nothing."""
     radius, across, ahead = _radius(towards, camera)
     undistorted = _around(radius, across, ahead)[:, None] * towards[:, :2]
     if not any(camera.distortion):
@@ -208,8 +208,7 @@ def _undistort(distorted: Floats, camera: Camera) -> Floats:
 
 
 def stretches(unit: Floats, along: Floats, across: Floats) -> Floats:
-    """Return (n, 2, 2) matrices that stretch by factors (n,) along (n, 2) unit vectors and across
-    them."""
+    """Return (n, 2, 2) stretches by factors (n,) along (n, 2) unit vectors and across them."""
     matrices: Floats = (along - across)[:, None, None] * (unit[:, :, None] * unit[:, None, :])
     matrices[:, 0, 0] += across
     matrices[:, 1, 1] += across

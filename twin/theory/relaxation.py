@@ -65,8 +65,8 @@ class Relaxation:
         return np.asarray(1.0 - np.expm1(-np.asarray(time_s)[..., None] / late_s) @ share)
 
     def ramp_creep(self, since_s: float, seconds: float) -> float:
-        """Return the strain, over the final stress / G0, a time after a stress has grown linearly
-        for some ``seconds``."""
+        """Return the strain, over final stress / G0, some time after a linear rise in
+        ``seconds``."""
         share, late_s = self.retardation
         mean = _fading(seconds / late_s)[1]
         return float(1.0 + share @ (1.0 - mean * np.exp(-since_s / late_s)))
