@@ -86,8 +86,7 @@ that files stored under a hash of all keys stay valid."""
 
 
 def identity(value: Any) -> Any:
-    """Return a plain value as hashes take it: without provenance and what says nothing new
-    (`LATER`)."""
+    """Return a plain value as hashes take it: without provenance and the old values of `LATER`."""
     if isinstance(value, dict):
         kept = {k: v for k, v in value.items() if k not in ("source", "assumed")}
         return {k: identity(v) for k, v in kept.items() if k not in LATER or v != LATER[k]}

@@ -433,7 +433,7 @@ class Scene(Part):
 
     @property
     def displacement_error(self) -> float:
-        """Largest error of a marker's displacement asked for, over the largest displacement."""
+        """Largest requested error of a marker's displacement over the largest displacement."""
         made = self.tolerance.preset != "none"
         return self.accuracy.displacement_for(self.tolerance.youngs_modulus_pct if made else 0.0)
 
