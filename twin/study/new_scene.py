@@ -299,6 +299,7 @@ assumed = "careful casting and a ruler"
 method = "compliance"     # from the design; "fitted" for a real sensor's presses
 press_probe_mm = {probe:.3g}    # the ball of those presses
 press_force_n = {force:.3g}
+assumed = "as the press above"
 
 [reconstruction]
 method = "local"          # smooth finds far too little force on thin pads and by one layer
