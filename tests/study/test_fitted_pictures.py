@@ -62,8 +62,9 @@ def test_a_folder_of_photographed_presses_is_fitted(tmp_path):
     assert modulus == pytest.approx(sensor.actual.scene.material.youngs_modulus_mpa, rel=0.01), told
     assert transfer_error(sensor, read_calibration(tmp_path / "c.npz")) < 0.02
     off, stated = np.array(re.findall(r"F[xyz] (\S+?),? ", "".join(re.findall(r"read .*", told))), float).reshape(2, 3)
-    assert (off / stated == pytest.approx(1.0, abs=0.9)).all(), told
-    assert "further off than is stated" not in told
+    assert (0.3 * stated < off).all(), told
+    assert (off < 0.03).all(), told  # N
+
 
 
 @pytest.mark.slow

@@ -208,7 +208,7 @@ def _read_back(
         lines.append(line("sites' sum, of sites that only push or obey friction, off by", sums))
     if (rms(totals / allowed) > UNSTATED).any():
         lines.append(
-            "warning total forces are further off than is stated: a size in the recipe is wrong "
+            "warning total forces are further off than is stated. Often a size in the recipe is wrong "
             "(thickness, depth, Poisson's ratio), which one layer of dots hardly shows. Trust a "
             "force no more than the lines above say"
         )

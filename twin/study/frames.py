@@ -169,6 +169,8 @@ def _number(line: str, key: str, text: str | None, *, may_be_empty: bool) -> flo
     except ValueError:
         value = math.nan
     least = 0.0 if key.endswith("_s") else -_LARGEST
+    if not (text or "").strip():
+        raise InputError(f"{line}: {key} is missing")
     if not least <= value <= _LARGEST:
         unit = key.rsplit("_", 1)[1].replace("n", "N")
         raise InputError(
