@@ -840,14 +840,16 @@ def _draw_chain() -> None:
         for layer, colour in (("red", "#c8381e"), ("blue", "#1f5fbf")):
             mine = truth.marker_layer == layer
             row[1].quiver(*rest[mine].T, *shift[mine].T, color=colour, angles="xy", width=0.003)
-        row[1].set(xlim=(0, 640), ylim=(480, 0), aspect="equal", title="how the markers moved")
+        moved = f"how the markers moved (up to {np.nanmax(np.hypot(*shift.T)):.2g} px)"
+        row[1].set(xlim=(0, 640), ylim=(480, 0), aspect="equal", title=moved)
         x, y = estimate.site_mm[:, :2].T
         fx, fy, fz = estimate.force_n.T
         row[2].scatter(x, y, c=fz, cmap="PuOr_r", vmin=-abs(fz).max(), vmax=abs(fz).max(), marker="s", s=60)
         pitch, largest = load_scene(name).reconstruction.sites.pitch_mm, np.hypot(fx, fy).max()
         scale = largest / (1.5 * pitch)
         row[2].quiver(x, y, fx, fy, angles="xy", scale_units="xy", scale=scale, width=0.004)
-        row[2].set(aspect="equal", title="the forces that the sensor reports")
+        found = f"forces it reports (N): push to {fz.max():.2g} orange, side to {largest:.2g} arrows"
+        row[2].set(aspect="equal", title=found)
         for panel in row:
             panel.set_xticks([])
             panel.set_yticks([])

@@ -118,6 +118,12 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["run", "kamiyama_pillar", "-s", "markers.red.depth_mm=39.9"], ["markers.red", "outside the body"]),
         (["run", "kamiyama_pillar", "-s", "seed"], ["key.path=value"]),
         (["check", "nowhere"], ["no scene 'nowhere'"]),
+        (["check", "gelpad_press", "-s", "press.at_mm=[500,0]"], "at (500, 0, 0) mm misses the sensing surface"),
+        (["check", "gelpad_press", "-s", "seed=1e30"], "seed = 1e+30: must be a whole number (allowed: 0 to"),
+        (["check", "gelpad_press", "-s", "base=other"], "base: unknown key; a scene file names its base"),
+        (["check", "gelpad_press", "-s", "body.file=a.stl"], "body.file: unknown key; it belongs to shape = 'solid'"),
+        (["check", "gelpad_press", "-s", "body={shape='block'}"], "the recipe 'gelpad', which also holds [material]"),
+        (["run", "EMPTY.json"], "XX
         (["calibrate", "--scene", "sato_press", "--out", "x.txt"], [".npz"]),
         (["calibrate", "--scene", "block_bare", "--out", "x.npz"], ["block_bare: ", "[reconstruction]"]),
     ],

@@ -35,6 +35,8 @@ FLAT = "kamiyama_pillar"
         ({"tolerance.depth_mm": 2.0}, "tolerance.depth_mm = 2 mm: .* take at most 1.2 mm"),
         ({"tolerance.print_mm": 0.5}, "neighbours change places; take at most 0.3 mm"),
         ({"press.probe.diameter_mm": 0.005}, "press.probe: 0.005 mm wide, a needle"),
+        ({"press.force_n": {"z": 1e6}}, r"press.force_n: 1e\+06 N over 5 mm is 4e\+04 times Young's modulus"),
+        ({"reconstruction.sites.pitch_mm": 1e-5}, "sites.pitch_mm = 1e-05 mm: usual are 0.1 to 10 mm"),
         ({"press.friction": 40.0}, "press.friction = 40: .* no angle"),
         ({"ccd.exposure": 100.0}, "= 2e.04 counts for the brightest marker"),
         ({"ccd.white_dn": 2.0}, "= 2 counts"),

@@ -66,7 +66,6 @@ def test_a_folder_of_photographed_presses_is_fitted(tmp_path):
     assert (off < 0.03).all(), told  # N
 
 
-
 @pytest.mark.slow
 def test_a_thin_pad_of_another_thickness_is_fitted_to_presses_as_wide_as_the_ball():
     """1 N flattens a gel pad under the whole 3 mm ball, and the pad isn't as thick as drawn."""

@@ -349,7 +349,7 @@ def test_overlay_pictures(folder):
     pictures = [np.array(Image.open(folder / name)) for name in ("one.png", "one_000002.png")]
     changed = [float((np.abs(p.astype(int) - drawn) > 40).any(axis=2).mean()) for p in pictures]
     assert changed[1] < 0.02 < changed[0] + 0.02, "the second stands beside the first"
-    done = twin("rest.png", "press4.png", *options, "one.jpg", cwd=folder)
+    done = twin("rest.png", "press4.png", *options, "one.tif", cwd=folder)
     assert done.returncode == 2
     assert ".png" in done.stderr
 
@@ -469,6 +469,7 @@ def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recording")
     wanted = load_scene("kamiyama_pillar", {"calibration.method": "fitted"})
     drawn_at_rest(wanted)[0].save(folder / "rest.png")
+    Image.new("RGB", (64, 48)).save(folder / "small.bmp")
     return wanted, folder
 
 
@@ -488,6 +489,10 @@ def recording(tmp_path_factory):
         (HEAD + "rest.png, 0, 0, , 0, 0, 200\n", r"press 1 has 200 N.*Forces are in N"),
         (HEAD + "rest.png,0,0,,0,0,1\nrest.png,100,0,,0,0,1\n", r"press 2 at x_mm = 100, .* within x -?\d"),
         (HEAD + "rest.png,100,0,0,0,0,1\n", r"press 1 at x_mm = 100, .* within x -?\d"),
+        (HEAD + "rest.png,0,0,9,0,0,1\n", "press 1 at x_mm = 0, y_mm = 0, z_mm = 9 misses"),
+        (HEAD + "rest.png,0,0,0\n", "line 2: fx_n is missing"),
+        (HEAD + "rest.png,0,0,0,0,0,0\n", "no press has a force; give what the load cell reads"),
+        (HEAD + "small.bmp,0,0,0,0,0,1\n", "small.bmp: the picture is 64x48 px, the rest picture 640x480"),
     ],
 )
 def test_a_bad_table_is_told_by_line_and_column(recording, text, words):

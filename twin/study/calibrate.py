@@ -208,9 +208,9 @@ def _read_back(
         lines.append(line("sites' sum, of sites that only push or obey friction, off by", sums))
     if (rms(totals / allowed) > UNSTATED).any():
         lines.append(
-            "warning total forces are further off than is stated. Often a size in the recipe is wrong "
-            "(thickness, depth, Poisson's ratio), which one layer of dots hardly shows. Trust a "
-            "force no more than the lines above say"
+            "warning total forces are further off than is stated. Often a size in the recipe is "
+            "wrong (thickness, depth, Poisson's ratio), which one layer of dots hardly shows. "
+            "Trust a force no more than the lines above say"
         )
     return lines
 
@@ -540,7 +540,11 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
         found = []
         for number, name in enumerate(names, start=1):
             tracker.forget()
-            found.append(tracker.track(read_picture(folder / name)))
+            try:
+                found.append(tracker.track(read_picture(folder / name)))
+            except InputError as problem:
+                text = str(problem).removeprefix(f"{folder / name}: ")
+                raise InputError(f"{folder / name}: {text}") from None
             if progress is not None:
                 progress(f"tracking, press {number} of {count}", 0.3 * number / count)
         presses = _measured(scene, np.zeros(count, np.int64), force_n, found)
@@ -563,7 +567,9 @@ def _check_forces(scene: Scene, force_n: Floats) -> None:
     low, high = scene.body.bounds_mm
     radius = scene.calibration.press_probe_mm / 2
     most = int(size.argmax())
-    depth = _hertz_radius(scene, float(size[most])) ** 2 / radius if size[most] > 0 else 0.0
+    if size[most] == 0:
+        raise InputError(f"{TABLE}: no press has a force; give what the load cell reads, N")
+    depth = _hertz_radius(scene, float(size[most])) ** 2 / radius
     if depth > max((high[2] - low[2]) / 2, radius):
         raise InputError(
             f"{TABLE}: press {most + 1} has {size[most]:.4g} N, which by Hertz' law would press a "
@@ -578,12 +584,13 @@ def _require_places(body: Body, places_mm: Points, on_surface: Bools) -> None:
     if on_surface.all():
         return
     first = int(np.flatnonzero(~on_surface)[0])
-    (x0, y0, _), (x1, y1, _) = body.bounds_mm
-    x, y, _ = places_mm[first]
+    (x0, y0, z0), (x1, y1, z1) = body.bounds_mm
+    x, y, z = places_mm[first]
+    height = "" if np.isnan(z) else f", z_mm = {z:g}"
     raise InputError(
-        f"{TABLE}: press {first + 1} at x_mm = {x:g}, y_mm = {y:g} misses the sensing surface, "
-        f"which lies within x {x0:g} to {x1:g} mm and y {y0:g} to {y1:g} mm of the body's middle: "
-        "mend the place, or its unit"
+        f"{TABLE}: press {first + 1} at x_mm = {x:g}, y_mm = {y:g}{height} misses the sensing "
+        f"surface of the body, which lies within x {x0:g} to {x1:g}, y {y0:g} to {y1:g} and z "
+        f"{z0:g} to {z1:g} mm: mend the place, or its unit"
     )
 
 
@@ -597,9 +604,10 @@ def _by_presses(
     _require_places(scene.body, places_mm, np.isfinite(points[:, 2]))
     _check_forces(scene, presses.force_n)
     charts = scene.body.chart_of(points)
-    _require_places(
-        scene.body, places_mm, scene.body.contains(scene.body.chart_points(charts), -1e-6)
-    )
+    # A place further off than the ball's radius isn't on this surface.
+    near = np.abs(scene.body.depth(points)) <= scene.calibration.press_probe_mm / 2
+    inside = scene.body.contains(scene.body.chart_points(charts), -1e-6)
+    _require_places(scene.body, places_mm, np.asarray(inside & near))
     half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
     # Fitted: any places. Presses nearly at one place share it.
     if scene.calibration.method == "fitted":

@@ -88,6 +88,11 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[str]:
     sensor.actual  # noqa: B018  refuses a marker outside the body
     if scene.press is not None or scene.tractions:
         sensor.check_law(None if scene.tractions else scene.press)
+    if scene.press is not None:
+        from twin.world.contact.probe_gap import Approach
+
+        for press in (scene.press, *scene.press.also):
+            Approach.of_press(press, scene.body)
     _mesh_own_body(scene)
     lines = [f"{file}: ok"]
     lines += [f"warning: {doubt}" for doubt in (*doubts(scene), *_check_dataset(scene))]

@@ -57,6 +57,12 @@ _BODY_MM = (2.0, 500.0)
 _NARROWEST_MM = 0.1
 """A probe narrower than this is a needle."""
 
+_MOST_PRESSURE = 1.0
+"""Force over the square of a probe's width and Young's modulus; no shipped press reaches 0.3."""
+
+_SITES_MM = (0.1, 10.0)
+"""Pitch of the sites: a tenth of the least depth of markers, and the width of a finger."""
+
 _MOST_FRICTION = 5.0
 """Of rubber on anything, stuck contact excepted."""
 
@@ -259,6 +265,13 @@ def _of_markers(scene: Scene) -> Iterator[str]:
 
 
 def _of_press(scene: Scene) -> Iterator[str]:
+    if scene.reconstruction is not None and scene.reconstruction.sites is not None:
+        pitch = scene.reconstruction.sites.pitch_mm
+        if not _SITES_MM[0] <= pitch <= _SITES_MM[1]:
+            yield (
+                f"reconstruction.sites.pitch_mm = {pitch:g} mm: usual are {_range(_SITES_MM)} mm; "
+                "sites lie where forces are looked for, closer than the markers are deep"
+            )
     presses: tuple[Press, ...] = () if scene.press is None else (scene.press, *scene.press.also)
     for number, press in enumerate(presses):
         key = f"press.also {number}" if number else "press"
@@ -266,6 +279,13 @@ def _of_press(scene: Scene) -> Iterator[str]:
             yield (
                 f"{key}.probe: {press.width_mm:g} mm wide, a needle (usual: "
                 f"{_NARROWEST_MM:g} mm and more); lengths are in mm"
+            )
+        force = max(math.hypot(*(f or 0.0 for f in step.force_n)) for step in press.path)
+        mean = force / press.width_mm**2 / scene.material.youngs_modulus_mpa
+        if mean > _MOST_PRESSURE:
+            yield (
+                f"{key}.force_n: {force:g} N over {press.width_mm:g} mm is {mean:.2g} times "
+                f"Young's modulus (usual: up to {_MOST_PRESSURE:g}); 1 gf is 0.00981 N"
             )
         if _MOST_FRICTION < press.friction < math.inf:
             yield (

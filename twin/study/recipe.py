@@ -83,7 +83,8 @@ def read_recipe(path: Path) -> Table:
         text = f"byte {problem.start + 1} is no text in UTF-8; save the file in this encoding"
         raise RecipeError(f"not valid TOML: {text}", str(path)) from None
     except (ValueError, RecursionError) as problem:  # a number of 4,300 digits: a ValueError
-        raise RecipeError(f"not valid TOML: {problem}", str(path)) from None
+        kind = "" if path.suffix == ".toml" else "; a scene or a sweep is a text file, NAME.toml"
+        raise RecipeError(f"not valid TOML: {problem}{kind}", str(path)) from None
     picture = table.get("picture")
     if isinstance(picture, dict) and picture.keys() == {"renderer"} and "renderer" not in table:
         table = {k: v for k, v in table.items() if k != "picture"} | picture
@@ -349,6 +350,8 @@ def _resolved(path: Path, overrides: Mapping[str, Any]) -> Scene:
         raise RecipeError(
             "is a sweep over many designs, not a scene: give it to twin sweep", str(path)
         )
+    if "material" not in {*table, *(key.partition(".")[0] for key in overrides)}:
+        _require_material(table, overrides, path.stem, path)
     for key, value in overrides.items():
         _override(table, key, value)
     body = table.get("body")
@@ -442,6 +445,9 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
                 f"it belongs to a step of the path: steps = [{{force_n = {{z = 1}}}}, {{{last} = "
                 f"{given}}}]"
             )
+        hint = _belongs_to(keys) or hint
+        if dotted == "base":
+            hint = "a scene file names its base; give that file in this scene's place"
         if dotted == "camera.fov_deg":
             hint = "give focal_px; twin scenes --new --fov-deg computes it from a field of view"
         return f"{dotted}: unknown key; {hint}"
@@ -467,6 +473,15 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
     return f"{dotted} = {shown}{' ' + unit if unit else ''}: {message}" + (
         f" (allowed: {allowed})" if allowed else ""
     )
+
+
+def _belongs_to(keys: list[Any]) -> str:
+    """Return to which other shape of body or kind of probe an unknown key belongs, if to any."""
+    field = _field_at(keys[:-1], {})
+    for model in _models_in(field.annotation) if field is not None else []:
+        for tag in _tags(model) if keys[-1] in model.model_fields else ():
+            return f"it belongs to {tag} = '{model.model_fields[tag].default}'"
+    return ""
 
 
 def _wanted(keys: list[Any], table: Mapping[str, Any]) -> str:
@@ -656,7 +671,7 @@ def _read_with_bases(path: Path, above: Sequence[Path] = ()) -> tuple[Table, lis
     return _merged(below, table), [path.parent, *folders]
 
 
-def _require_material(below: Table, above: Table, base: str, path: Path) -> None:
+def _require_material(below: Table, above: Mapping[str, Any], base: str, path: Path) -> None:
     """Refuse to replace the base's body recipe by a shape alone: its material would be lost."""
     old, new = below.get("body"), above.get("body")
     if not isinstance(old, dict) or not isinstance(new, dict):
@@ -664,7 +679,7 @@ def _require_material(below: Table, above: Table, base: str, path: Path) -> None
     if "recipe" in old and "material" not in above and "shape" in new and "recipe" not in new:
         raise RecipeError(
             f"body.shape = '{new['shape']}' replaces the body of base '{base}', and with it the "
-            f"recipe '{old['recipe']}', which also holds [material]: add a [material] table to "
-            "this scene, or name a body by body.recipe",
+            f"recipe '{old['recipe']}', which also holds [material]: give a [material] table, too, "
+            "or name a body by body.recipe",
             str(path),
         )

@@ -30,7 +30,7 @@ from twin.sense.calibration import Calibration, read_calibration
 from twin.sense.inverse import METHODS
 from twin.sense.reconstruct import Bump, Field, check_options, reconstruct
 from twin.sense.track import Found, Tracker
-from twin.study.frames import PICTURES, VIDEOS, Frame, VideoWriter, read_numbers, read_picture
+from twin.study.frames import VIDEOS, Frame, VideoWriter, read_numbers, read_picture
 from twin.theory.relaxation import Hereditary
 
 _MISFIT, _MISFIT_PX = 5.0, 0.3
@@ -175,7 +175,8 @@ def _rest_pictures(path: Path) -> list[Picture]:
     found = []
     for frame in Frame.read([str(path)], sys.stdin.buffer, None, None):
         if frame.picture is None:
-            raise InputError(f"{path}: {frame.name}: {frame.problem}")
+            name = "" if frame.name == str(path) else f"{frame.name}: "
+            raise InputError(f"{path}: {name}{frame.problem}")
         found.append(frame.picture)
     return found
 
@@ -674,7 +675,7 @@ class _OverlayFile:
         self._target = target
         self._film = suffix in VIDEOS
         self._one = suffix == ".png"
-        if suffix in PICTURES and not self._one:
+        if suffix[1:].isalpha() and not (self._film or self._one or target.is_dir()):
             raise InputError(
                 f"--overlay {target}: pictures are drawn as .png; give that, a folder, or a video "
                 "(.mp4)"
