@@ -77,6 +77,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["run", "kamiyama_pillar", "-s", "light.positions_mm=3"], "such as [[0, 0, 0], [0, 0, 0]]\n"),
         (["run", "kamiyama_pillar", "--out", "RECORDING"], "RECORDING: holds rest.png, which no run wrote"),
         (["run", "LINK"], "scene 'LINK': is no file to read, but a folder, a device, or a link to nowhere"),
+        (["check", "TABLE.csv"], "a scene or a sweep is a text file, NAME.toml"),
         (["run", "long" * 100], "there is no such file"),
         (["run", "~nobody_of_this_name/a.toml"], "there is no such file"),
         (["reproduce", "--seed", "1.5"], "'1.5' is no whole number"),
@@ -123,7 +124,6 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["check", "gelpad_press", "-s", "base=other"], "base: unknown key; a scene file names its base"),
         (["check", "gelpad_press", "-s", "body.file=a.stl"], "body.file: unknown key; it belongs to shape = 'solid'"),
         (["check", "gelpad_press", "-s", "body={shape='block'}"], "the recipe 'gelpad', which also holds [material]"),
-        (["run", "EMPTY.json"], "XX
         (["calibrate", "--scene", "sato_press", "--out", "x.txt"], [".npz"]),
         (["calibrate", "--scene", "block_bare", "--out", "x.npz"], ["block_bare: ", "[reconstruction]"]),
     ],
@@ -132,6 +132,7 @@ def test_wrong_input_is_told_in_the_users_terms(arguments, words, tmp_path, caps
     monkeypatch.chdir(tmp_path)
     Path("FOLDER").mkdir()
     Path("FILE").touch()
+    Path("TABLE.csv").write_text("0.1\n")
     Path("mine.toml").touch()
     Path("PICTURE").write_bytes(b"\x89PNG\r\n")
     Path("BODY.stl").write_bytes(bytes(84))
