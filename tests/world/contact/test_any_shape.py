@@ -72,13 +72,18 @@ def test_rings_of_pressure_know_the_flat_punch():
     assert ring_force(np.zeros_like, 0.0, 3.0) == pytest.approx(2.0 * MODULUS * 3.0 * DEPTH, rel=1e-5)
 
 
+def assert_force(force, press, across=16, *, within, least=1.0, most):
+    """The force is right ``within`` a share; what is stated is ``least`` times that share or more, under ``most``."""
+    state = pressed(press, across=across, on=HalfSpace(0.5))
+    off = abs(state.force_n[2] / force - 1.0)
+    assert off < within
+    assert least * off <= state.error.force < (most(off) if callable(most) else most)
+
+
 @pytest.mark.parametrize("across", [8, 16])
 def test_the_force_of_a_ring_is_right_within_what_it_says(ring, across):
     probe, force, most = ring
-    state = pressed(Press(probe=probe, indentation_mm=DEPTH), across=across, on=HalfSpace(0.5))
-    off = abs(state.force_n[2] / force - 1.0)
-    assert off < 0.3 / across
-    assert off <= state.error.force < most
+    assert_force(force, Press(probe=probe, indentation_mm=DEPTH), across, within=0.3 / across, most=most)
 
 
 @pytest.mark.parametrize(
@@ -182,12 +187,8 @@ def inclined_force(tilt_deg, depth):
 
 @pytest.mark.parametrize(("tilt", "depth"), [(2.0, 0.1), (5.0, 0.15), (15.0, 0.3), (30.0, 0.3)])
 def test_an_inclined_face_is_pressed_by_its_rim(tilt, depth):
-    force = inclined_force(tilt, depth)
     press = Press(probe=Pillar(width_mm=4.0), tilt_deg=(0.0, tilt, 0.0), indentation_mm=depth)
-    state = pressed(press, on=HalfSpace(0.5))
-    off = abs(state.force_n[2] / force - 1.0)
-    assert off < 0.01
-    assert off / 3.0 <= state.error.force < 0.02
+    assert_force(inclined_force(tilt, depth), press, within=0.01, least=1 / 3, most=0.02)
 
 
 def grating_force(cells):
@@ -202,12 +203,8 @@ def grating_force(cells):
 @pytest.mark.parametrize("across", [6, 12])
 def test_a_grating_is_cut_where_its_ridges_end(across):
     """Ridges whose sides cells don't follow were up to 5 % too narrow, beyond what was stated."""
-    force = grating_force(6)
     press = Press(probe=Object(shape="grating", width_mm=7.5), indentation_mm=DEPTH)
-    state = pressed(press, across=across, on=HalfSpace(0.5))
-    off = abs(state.force_n[2] / force - 1.0)
-    assert off < 0.16 / across
-    assert off / 3.0 <= state.error.force < 4.0 * off
+    assert_force(grating_force(6), press, across, within=0.16 / across, least=1 / 3, most=lambda off: 4.0 * off)
 
 
 def letter_force(count):
@@ -229,10 +226,7 @@ def test_a_letter_is_pressed_however_it_is_turned(tilt, across):
     force = fine + (fine - coarse) / ((7 / 4) ** 2 - 1)  # order 2; 1.7317 N from 7, 10 and 13
     assert force == pytest.approx(1.7317, rel=1e-3)
     press = Press(probe=Object(shape="letter", width_mm=6.0), tilt_deg=(0.0, 0.0, tilt), indentation_mm=DEPTH)
-    state = pressed(press, across=across, on=HalfSpace(0.5))
-    off = abs(state.force_n[2] / force - 1.0)
-    assert off < 0.7 / across
-    assert off <= state.error.force < 0.2
+    assert_force(force, press, across, within=0.7 / across, most=0.2)
 
 
 @pytest.mark.slow

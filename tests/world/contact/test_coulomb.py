@@ -19,24 +19,30 @@ CAP_N = 0.1
 PUSHED = np.array([0.0, 0.0, 1.0, 0.0])
 
 
-def random_problem(seed, *, by_force=False, **changes):
-    rng = np.random.default_rng(seed)
-    root = 0.3 * rng.normal(size=(3 * K, 3 * K))
-    compliance = (root @ root.T / K + np.eye(3 * K)).reshape(K, 3, K, 3)
-    gap0, turning = rng.uniform(0.0, 1.0, K), rng.normal(size=(2, K))
-    slope = np.tile(-PUSHED, (K, 1))
-    held = np.array([by_force, False, by_force, False])
-    problem = UnilateralProblem(
-        influence=DenseInfluence(compliance),
+def problem_of(rng, compliance, most, *, held, given, friction, offset):
+    """Return a problem with gaps at random up to ``most``; ``friction`` draws its coefficients."""
+    k = len(compliance) // 3
+    gap0, turning = rng.uniform(0.0, most, k), rng.normal(size=(2, k))
+    slope = np.tile(-PUSHED, (k, 1))
+    return UnilateralProblem(
+        influence=DenseInfluence(compliance.reshape(k, 3, k, 3)),
         gap=lambda q: (gap0 + slope @ q, slope),
         contact_jacobian=jacobian_of(turning),
         by_force=held,
-        given=np.where(held, [0.5, 0, 2.5, 0], [0.3, -0.2, 1.1, 0.1]),
+        given=given,
         pushing=held & [False, False, True, False],
-        area_mm2=np.ones(K),
-        friction=rng.uniform(0.2, 0.8, K),
-        offset=rng.normal(scale=0.2, size=(K, 2)),
+        area_mm2=np.ones(k),
+        friction=friction(),
+        offset=rng.normal(scale=offset, size=(k, 2)),
     )
+
+
+def random_problem(seed, *, by_force=False, **changes):
+    rng = np.random.default_rng(seed)
+    root, held = 0.3 * rng.normal(size=(3 * K, 3 * K)), np.array([by_force, False, by_force, False])
+    given = np.where(held, [0.5, 0, 2.5, 0], [0.3, -0.2, 1.1, 0.1])
+    rubbed = {"friction": lambda: rng.uniform(0.2, 0.8, K), "offset": 0.2}
+    problem = problem_of(rng, root @ root.T / K + np.eye(3 * K), 1.0, held=held, given=given, **rubbed)
     return replace(problem, **changes)
 
 
@@ -109,19 +115,14 @@ def small_problem(seed, *, by_force, k=7):
     """Return a problem small enough to try every set of patches, stuck or without friction."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(3 * k, 3 * k))
-    compliance = (root @ root.T + 0.3 * np.eye(3 * k)).reshape(k, 3, k, 3)
-    gap0, turning = rng.uniform(0.0, 2.0, k), rng.normal(size=(2, k))
-    slope = np.tile([0.0, 0.0, -1.0, 0.0], (k, 1))
-    return UnilateralProblem(
-        influence=DenseInfluence(compliance),
-        gap=lambda q: (gap0 + slope @ q, slope),
-        contact_jacobian=jacobian_of(turning),
-        by_force=np.array([False, False, by_force, False]),
+    return problem_of(
+        rng,
+        root @ root.T + 0.3 * np.eye(3 * k),
+        2.0,
+        held=np.array([False, False, by_force, False]),
         given=np.array([0.3, -0.1, 0.8 if by_force else 1.2, 0.05]),
-        pushing=np.array([False, False, by_force, False]),
-        area_mm2=np.ones(k),
-        friction=np.where(rng.random(k) < 0.5, np.inf, 0.0),
-        offset=rng.normal(scale=0.1, size=(k, 2)),
+        friction=lambda: np.where(rng.random(k) < 0.5, np.inf, 0.0),
+        offset=0.1,
     )
 
 
