@@ -61,7 +61,7 @@ def test_pixels_row_by_row_are_those_one_by_one(radius, others):
     random = np.random.default_rng(3)
     image = random.integers(0, 256, (60, 70, 3), dtype=np.uint8)
     limits = np.array([[0.5, 0.25, 0.0, 100.0], [0.0, -1.0, 1.0, 30.0]], np.float32)[:others]
-    offset, runs = disc(radius)
+    offset, runs, _ = disc(int(radius**2))
     plain, fast = np.zeros((2, 2, offset.shape[1] + LANES), np.float32)
     own = tuple(np.array([1.0, -0.25, 0.5, 3.0], np.float32))
     sites = np.array([[1.0, 0.0], [0.0, 1.0]] if others else np.ones((2, 2)), np.float32)

@@ -1,10 +1,9 @@
 """The disc fit: templates of the markers at rest, fitted to every other picture.
 
 Why a template: brightness that falls off to one side looks much like motion. Fitted in every
-picture, that slope would cost half of the information in an 8 px marker. So all parameters are
-fitted to the rest picture (`twin.sense.rest_templates`), and centre, level, ground and scale alone
-to the others (`twin.sense.template`). An error of the slope is then the same in both pictures and
-cancels in the shift.
+picture, that slope would cost half of the information in an 8 px marker. So it is fitted to the
+rest picture (`twin.sense.rest_templates`), and centre, level, ground and scale alone to the others
+(`twin.sense.template`): an error of the slope cancels in the shift.
 
 A picture is measured in three steps. `DiscFit._fit` fits all markers; one that no longer looks as
 at rest is fitted with an outline and blur of its own, or by the part of it that is in sight; a
@@ -140,8 +139,8 @@ NORMAL = 0.7413
 """A normal distribution's standard deviation, as a share of what lies between its quarters."""
 
 SHADOW_MOVES = 4.0
-"""A marker is not taken for partly hidden while its squared residuals exceed the usual ones by less
-than this factor times what they did at rest: a shadow that moves is missed twice."""
+"""A marker is not partly hidden while its squared residuals exceed the usual ones by less than this
+factor times what they did at rest: a shadow that moves is missed twice."""
 
 DIFFERS = 2.5
 """Standard deviations from its neighbours' beyond which an outline is not their common strain."""
@@ -177,9 +176,10 @@ EVEN, LEVEL_TILT = 2.8, 3.5
 """Standard deviations up to which an edge's third harmonic, and the motion by a changed slope of
 brightness, change by chance (49 of 50, 456 of 457). What exceeds this is stated, and corrected."""
 
-SHRINKS = 0.5
-"""Standard deviations of a radius up to which a marker has become smaller by chance: states 1.0 to
-1.3 times the errors of whole markers, and of blurred ones that lack a hundredth .5 to 1.3 times."""
+SHRINKS, DIMS = 0.5, 1.5
+"""Standard deviations of a radius up to which a marker has become smaller by chance; and where
+noise hangs together over pixels. Of whole markers the first leaves 1.0 to 1.3 times their errors
+stated, of blurred ones that lack a hundredth .6 to 1.3 times."""
 
 LEAST_LIGHT = 3.0
 """Standard deviations by which a marker may have more light than it seems to."""
@@ -205,9 +205,9 @@ ROUGHER = 1.6
 has not hangs together over pixels."""
 
 LACKING = 1.5
-"""Where a picture is compressed more, or less, than the rest picture: light, size and fit that are
-together worse than most markers' by more standard deviations (of whole markers one in five) may be
-those of a hidden part, which moves a marker by about as many of its own."""
+"""Where a picture is compressed more, or less, than at rest: light, size and fit that together are
+worse than most markers' by more standard deviations (of whole markers one in five) may be due to a
+hidden part, which moves a marker by about as many of its own."""
 
 SINCE = 1.35
 """Errors where a picture is compressed and the rest picture is not, over those that the third
@@ -301,7 +301,7 @@ class DiscFit(SoftWindow):
             noise = np.nanmedian(fitted[good & ~cut, VARIANCE])
             sd[cut] = np.hypot(sd[cut], np.sqrt(max(square - 2.0 * noise, 0.0)))
         pictures = None
-        rough = good & ~cut & (np.sqrt(templates.shape[:, 0] * templates.shape[:, 2]) > WIDE_PX)
+        rough = good & ~cut & (templates.radius_px > WIDE_PX)
         if rough.any() and here.roughness_px > ROUGH_PX:
             pictures = OwnPictures.of(picture, templates, np.flatnonzero(rough))
             sd[rough] = np.sqrt(fitted[rough, VARIANCE].mean(axis=1))
@@ -367,9 +367,9 @@ class DiscFit(SoftWindow):
     def _refit(
         self, picture: Picture, templates: Templates, fitted: Floats, cut: Bools, start_px: Pixels
     ) -> Floats:
-        """Return the fits with those replaced that no longer look as at rest: by ones with a shape
-        of their own, or of the part in sight for markers that differ from their neighbours or that
-        the picture's frame ``cut`` (n,)."""
+        """Return the fits with those replaced that no longer look as at rest: by a shape of their
+        own, or, of markers unlike their neighbours or ``cut`` (n,) by the frame, the part in
+        sight."""
         fitted[cut, MISFIT] = np.nan
         odd, doubted = self._unusual(fitted, fitted[:, MISFIT], templates.usual_misfit)
         doubted |= cut
@@ -382,7 +382,7 @@ class DiscFit(SoftWindow):
             fitted = templates.fit(picture, places)
             odd, doubted = self._unusual(fitted, fitted[:, MISFIT], templates.usual_misfit)
         # Outlines as they are now: those at rest, grown, or a shape of their own.
-        radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
+        radius = templates.radius_px
         growth = (fitted[:, SCALE] - 1.0) * radius
         outline = templates.shape[:, [0, 1, 2, 6]].copy()
         outline[:, :3] += growth[:, None] * [1.0, 0.0, 1.0]
@@ -412,10 +412,8 @@ class DiscFit(SoftWindow):
         outline: Floats,
     ) -> tuple[Templates, Floats]:
         """Fit ``odd`` markers at ``places`` (n, 2) with an outline and blur of their own; where
-        that leaves no more than the noise it replaces what ``fitted`` and ``outline`` hold.
-
-        Blur and outline are even about the centre, and brightness that falls off to one side is
-        odd: so the slopes are those at rest.
+        that leaves no more than the noise it replaces what ``fitted`` and ``outline`` hold. The
+        slopes of brightness are those at rest, as blur and outline are even about the centre.
 
         Returns
         -------
@@ -429,15 +427,9 @@ class DiscFit(SoftWindow):
         largest = float(np.nanmax(radius))
         clear = max(self.around.spacing_px - largest - blur, largest + blur)
         reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
-        seen = (
-            picture,
-            templates.own,
-            templates.others,
-            templates.sites,
-            templates.ground_slopes,
-            places,
-        )
-        shape = fit_shapes(*seen, radius, reach, templates.noise, blur, bulge, free_blur=True)
+        t = templates
+        seen = (picture, t.own, t.others, t.sites, t.ground_slopes, places)
+        shape = fit_shapes(*seen, radius, reach, t.noise, blur, bulge, free_blur=True)
         shape[:, 3:6] = known[:, 3:6]
         # These shapes are templates of a fit like all others.
         own = for_kernel(shape[:, :SHAPE])
@@ -482,7 +474,7 @@ class DiscFit(SoftWindow):
         place = np.stack([fitted[rows, CENTRE], start_px[rows]])
         gap = np.fmin(place + 0.5, [width - 0.5, height - 0.5] - place)
         gap = np.fmin.reduce(gap, axis=(0, 2))
-        cut[rows] = gap < np.sqrt(self.templates.shape[rows, 0] * self.templates.shape[rows, 2])
+        cut[rows] = gap < self.templates.radius_px[rows]
         return cut
 
     def _unusual(self, fitted: Floats, misfit: Floats, now: float) -> tuple[Bools, Bools]:
@@ -496,8 +488,9 @@ class DiscFit(SoftWindow):
         fitting = templates.rest[:, FITTING]
         fits = fitted[:, FITTING] / np.where(fitting > 0.0, fitting, np.nan)  # 0: refused at rest
         # one that has grown beyond what is looked at seems dim: no ground around it is in sight
-        radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
-        odd |= (scale * radius + templates.shape[:, 6] > templates.reach_px) & (fits < FITS)
+        odd |= (scale * templates.radius_px + templates.shape[:, 6] > templates.reach_px) & (
+            fits < FITS
+        )
         low, middle, high = _quantiles(scale, 0.25, 0.5, 0.75)
         least = middle - SMALLER * max(NORMAL * (high - low), LEAST_SPREAD)
         doubted = odd | (fits < FITS * min(_quantiles(fits, 0.5)[0], 1.0)) | (scale < least)
@@ -524,7 +517,7 @@ class DiscFit(SoftWindow):
         taken, known = fitted[:, RESHAPED] == OWN_SHAPE, np.isfinite(fitted[:, LEVEL])
         fine = known & (taken | ~doubted)
         rows = np.flatnonzero((known if templates.coherent else known & doubted) | cut)
-        radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
+        radius = templates.radius_px
         measured = np.column_stack(
             [
                 (outline[:, :3] - templates.shape[:, :3]) / radius[:, None],
@@ -591,7 +584,7 @@ class DiscFit(SoftWindow):
         part[:, [SCALE, FITTING]], part[:, SHORTFALL] = 1.0, 0.0
         part[:, DIFFERENCE] = 0.0
         if templates.coherent:  # a part was left out, but is it the one that is hidden?
-            lost = self._light_lost(fitted, fine, -0.5 * LEAST_LIGHT)[rows] * ~cut[rows]
+            lost = self._light_lost(fitted, fine, -DIMS)[rows] * ~cut[rows]
             lacks = np.fmax(LOST_MOVES * radius[rows] * lost - moved, 0.0)
             part[:, DIFFERENCE] = lacks / np.sqrt(2.0)
         part[:, EDGE] = np.where(part[:, EDGE] < WHOLE_EDGE, LEAST_EDGE, 1.0)
@@ -703,29 +696,30 @@ class DiscFit(SoftWindow):
         """Return (n,) the variance of shifts, per axis, px^2, of a cut that looks like less size.
 
         What hides a narrow part on one side moves a fitted centre by twice as much as it makes the
-        mean radius smaller: the edge's displacement there has twice the first harmonic that it has
-        of the mean. Where blur hides that the edge is uneven, nothing else shows. So a marker that
-        has shrunk more than its neighbours, beyond what the noise does to a radius, may have moved
-        less than measured. ``sd`` (n,) is the shifts' by the noise, without its coherence
-        ``factor``.
+        mean radius smaller, as the first harmonic is twice the mean. Where blur hides that the edge
+        is uneven, nothing else shows. So a marker that has shrunk more than its neighbours, beyond
+        chance, may have moved less than measured. ``sd`` (n,) is the shifts' by the noise, without
+        its coherence ``factor``.
         """
         sd = factor * sd
-        shape, rest = self.templates.shape, self.templates.rest
+        rest = self.templates.rest
         shrunk = fitted[:, SCALE] / rest[:, SCALE]
+        chance = SHRINKS
         if factor > COHERENT:  # compression may dim a marker instead: what is lost is light
             shrunk *= np.sqrt(fitted[:, LEVEL] / rest[:, LEVEL])
-        shrunk = np.sqrt(shape[:, 0] * shape[:, 2]) * (1.0 - shrunk)
+            chance = DIMS
+        shrunk = self.templates.radius_px * (1.0 - shrunk)
         shrunk[~np.isfinite(sd)] = np.nan
         low, middle, high = _quantiles(shrunk, 0.25, 0.5, 0.75)
         limit = np.fmax(NORMAL * (high - low), sd / np.sqrt(2.0))
         away = shrunk - middle
         if NORMAL * (high - low) > np.sqrt(2.0) * _quantiles(sd, 0.5)[0]:  # not by noise alone
-            rows = np.flatnonzero(away > SHRINKS * sd / np.sqrt(2.0))
+            rows = np.flatnonzero(away > chance * sd / np.sqrt(2.0))
             usual, spread = _of_neighbours(away[:, None], np.isfinite(away), self.around, rows)
             away[rows] -= usual[:, 0]
             limit[rows] = np.fmax(spread[:, 0], sd[rows] / np.sqrt(2.0))
         away[fitted[:, RESHAPED] == PART_IN_SIGHT] = 0.0
-        beyond = np.fmax(np.fmax(away, 0.0) ** 2 - (SHRINKS * limit) ** 2, 0.0)
+        beyond = np.fmax(np.fmax(away, 0.0) ** 2 - (chance * limit) ** 2, 0.0)
         most = _most_moved(fitted, self.templates, sd, np.sqrt(beyond))
         return np.asarray(np.fmin(2.0 * beyond, most))
 
@@ -784,13 +778,11 @@ def _centre_sds(fitted: Floats, usual_misfit: float) -> Floats:
 def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
     """Return how many times as large as stated from single pixels' noise the errors of centres are.
 
-    Why: compression and colour mosaics leave errors that hang together over several pixels, which
-    the variance in single pixels does not show, and which a fit takes up as motion (by 5 to 10
-    times the stated deviation). They move the edge in its third harmonic as much as in the first,
-    the motion; unlike motion, size and strain (the first, none and the second), nothing else moves
-    it between two pictures. What a marker's own outline or shadow lacks of the model is the same at
-    rest and cancels. Around small markers such noise is smoother than a third harmonic is long,
-    and shows less in it than it moves them (`Templates.smooths_third`).
+    Why: compression and colour mosaics leave errors that hang together over pixels, which the
+    variance in single pixels does not show, and which a fit takes for motion (5 to 10 times the
+    stated deviation). They move the edge in its third harmonic as in the first, the motion, but for
+    small markers (`Templates.smooths_third`). Neither motion, size nor strain moves the third, and
+    what a marker's own outline or shadow lacks of the model is the same at rest and cancels.
 
     ``third`` is that of the edge at rest; ``seen`` and ``sd`` say which fits count, and the
     standard deviations of their shifts, px.
@@ -815,9 +807,8 @@ def _most_moved(fitted: Floats, templates: Templates, sd: Floats, shrunk: Floats
     harmonic by 1 - .8 q^2 times as much as in its first, which is motion: so the third harmonic,
     and what hides in its noise ``sd`` (n,), bound the motion. Concave ones move it by less.
     """
-    shape = templates.shape
-    radius = np.sqrt(shape[:, 0] * shape[:, 2])
-    share = np.fmax(1.0 - 0.8 * np.cbrt(3.0 * np.pi * shrunk / radius) ** 2, 1e-3)
+    angle = np.cbrt(3.0 * np.pi * shrunk / templates.radius_px)
+    share = np.fmax(1.0 - 0.8 * angle**2, 1e-3)
     third = np.sqrt(_square(fitted[:, THIRD] - templates.third)) + EVEN * sd
     return np.asarray(0.5 * (CONCAVE * third * templates.third_weakened / share) ** 2)
 

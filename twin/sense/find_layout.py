@@ -15,14 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter, zoom
 from scipy.spatial import cKDTree
 
-from twin.arrays import Floats, Ints, Picture, Pixels, frozen
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, frozen
 from twin.display import html_table, new_axes, one_line, plot_layout
 from twin.errors import InputError
 from twin.sense.colour import Signal, Weights, as_picture, projections
@@ -113,7 +113,7 @@ class FoundLayout:
         """
 
         centre_px: Pixels
-        index: NDArray[np.int64]
+        index: Ints
         lattice: Literal["square", "hexagonal"]
         pitch_px: float
         diameter_px: float
@@ -226,7 +226,7 @@ def find_layout(rest_image: Picture) -> FoundLayout:
     return _described(picture, away, best)
 
 
-def _contrast(picture: Picture) -> tuple[NDArray[np.float32], float]:
+def _contrast(picture: Picture) -> tuple[Singles, float]:
     """Return what a picture has beside its ground, (h, w, 3) counts, and the noise of a pixel.
 
     Where dots are dark the ground's shading is taken off: an LED's colour then doesn't look like
@@ -249,7 +249,7 @@ def _contrast(picture: Picture) -> tuple[NDArray[np.float32], float]:
     return away, noise
 
 
-def _colourings(away: NDArray[np.float32], noise: float) -> Iterator[list[Weights]]:
+def _colourings(away: Singles, noise: float) -> Iterator[list[Weights]]:
     """Return projections to try: of two colours apart, of one alone, with more and more faint
     pixels taken for dots."""
     strength = np.linalg.norm(median_filter(away, size=(3, 3, 1)), axis=2)
@@ -276,14 +276,14 @@ class _Layer:
     weights: Weights
     spots: Blobs
     index: Ints
-    on: NDArray[np.bool_]
+    on: Bools
     believed: bool
 
     def __len__(self) -> int:
         return int(self.on.sum())
 
 
-def _best_lattice(away: NDArray[np.float32], weights: Weights, noise: float) -> _Layer:
+def _best_lattice(away: Singles, weights: Weights, noise: float) -> _Layer:
     """Return the lattice that holds most of a signal's spots, at whatever width they are found."""
     signal = np.ascontiguousarray(away @ np.asarray(weights, np.float32))
     own = noise * float(np.linalg.norm(weights))
@@ -319,16 +319,11 @@ def _lattice_at(
     index, on = np.zeros((len(spots), 2), np.int64), np.zeros(len(spots), bool)
     if LEAST_DOTS <= len(spots) <= MOST_SPOTS:
         index, on = _grow(spots.centre_px)
-    return _Layer(
-        weights=weights,
-        spots=spots,
-        index=index,
-        on=on,
-        believed=_believable(spots.centre_px, index, on),
-    )
+    believed = _believable(spots.centre_px, index, on)
+    return _Layer(weights=weights, spots=spots, index=index, on=on, believed=believed)
 
 
-def _believable(points: Pixels, index: Ints, on: NDArray[np.bool_]) -> bool:
+def _believable(points: Pixels, index: Ints, on: Bools) -> bool:
     """Return whether spots form a lattice, and not by chance."""
     count, own = int(on.sum()), index[on]
     if count < max(LEAST_DOTS, LEAST_SHARE * len(on)) or min(np.ptp(own, axis=0)) < 2:
@@ -350,15 +345,12 @@ def _misfit(sites: Ints, places: Pixels, bent: float) -> Floats:
 # the lattice through a cloud of spots
 
 
-def _grow(points: Pixels) -> tuple[Ints, NDArray[np.bool_]]:
+def _grow(points: Pixels) -> tuple[Ints, Bools]:
     """Return (b, 2) lattice sites of spots, and which spots are on the lattice."""
     tree = cKDTree(points)
     order = np.argsort(np.linalg.norm(points - np.median(points, axis=0), axis=1))
-    seeds = np.unique(
-        np.concatenate([np.arange(SEEDS // 2), np.linspace(0, len(points) - 1, SEEDS // 2)]).astype(
-            int
-        )
-    )
+    spread = np.linspace(0, len(points) - 1, SEEDS // 2).astype(int)
+    seeds = np.unique(np.concatenate([np.arange(SEEDS // 2), spread]))
     best = np.zeros((len(points), 2), np.int64), np.zeros(len(points), bool)
     for seed in order[seeds]:
         steps = _first_steps(points, tree, int(seed))
@@ -387,23 +379,12 @@ def _first_steps(points: Pixels, tree: cKDTree, seed: int) -> Floats | None:
     return None
 
 
-AROUND = {
-    reach: np.array(
-        [
-            (i, j)
-            for i in range(-reach, reach + 1)
-            for j in range(-reach, reach + 1)
-            if max(abs(i), abs(j)) == reach
-        ]
-    )
-    for reach in (1, 2)
-}
+NEAR = np.array(list(product(range(-2, 3), repeat=2)))
+AROUND = {reach: NEAR[np.abs(NEAR).max(axis=1) == reach] for reach in (1, 2)}
 """Sites at a distance of so many steps."""
 
 
-def _spread(
-    points: Pixels, tree: cKDTree, seed: int, steps: Floats
-) -> tuple[Ints, NDArray[np.bool_]]:
+def _spread(points: Pixels, tree: cKDTree, seed: int, steps: Floats) -> tuple[Ints, Bools]:
     """Grow a lattice from a spot and its first steps; return sites and which spots are on it."""
     index = np.zeros((len(points), 2), np.int64)
     on = np.zeros(len(points), bool)
@@ -434,7 +415,7 @@ def _spread(
     return index, on
 
 
-def _add(points: Pixels, tree: cKDTree, index: Ints, on: NDArray[np.bool_], reach: int) -> int:
+def _add(points: Pixels, tree: cKDTree, index: Ints, on: Bools, reach: int) -> int:
     """Give the sites around the lattice their spots, in place; return how many were added."""
     taken = index[on]
     sites = np.unique((taken[:, None] + AROUND[reach]).reshape(-1, 2), axis=0)
@@ -491,7 +472,7 @@ def _predict(
 # what is told of it
 
 
-def _explained(away: NDArray[np.float32], noise: float, layers: list[_Layer]) -> float:
+def _explained(away: Singles, noise: float, layers: list[_Layer]) -> float:
     """Return the share of the strong pixels that lie in the dots of layers."""
     strength = np.linalg.norm(away, axis=2)
     strong = strength > max(0.4 * np.quantile(strength, 0.985), 4.0 * noise)
@@ -506,7 +487,7 @@ def _explained(away: NDArray[np.float32], noise: float, layers: list[_Layer]) ->
     return float(inside.mean()) if len(inside) else 0.0
 
 
-def _refusal(away: NDArray[np.float32], noise: float, most: int) -> str:
+def _refusal(away: Singles, noise: float, most: int) -> str:
     strength = np.linalg.norm(away, axis=2)
     top = float(np.quantile(strength, 0.998))
     least = max(LEAST_DN, LEAST_SNR * noise)
@@ -523,7 +504,7 @@ def _refusal(away: NDArray[np.float32], noise: float, most: int) -> str:
     )
 
 
-def _described(picture: Picture, away: NDArray[np.float32], found: list[_Layer]) -> FoundLayout:
+def _described(picture: Picture, away: Singles, found: list[_Layer]) -> FoundLayout:
     """Return layers with names, ordered sites and sizes."""
     layers: dict[str, FoundLayout.Layer] = {}
     for one in sorted(found, key=len, reverse=True):
@@ -535,7 +516,7 @@ def _described(picture: Picture, away: NDArray[np.float32], found: list[_Layer])
     return FoundLayout(layers=layers, stray_px=frozen(stray))
 
 
-def _layer(picture: Picture, away: NDArray[np.float32], one: _Layer) -> FoundLayout.Layer:
+def _layer(picture: Picture, away: Singles, one: _Layer) -> FoundLayout.Layer:
     centres, sites = one.spots.centre_px[one.on], one.index[one.on]
     sites, lattice, angle = _oriented(sites, centres)
     order = np.lexsort((sites[:, 1], sites[:, 0]))

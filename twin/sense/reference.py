@@ -175,12 +175,11 @@ def _first_look(
 
 
 def _checked_layout(layout: Mapping[str, Pixels]) -> dict[str, Pixels]:
-    require(layout, Mapping, "the layout", "give {layer name: (n, 2) nominal positions in px}")
+    wanted = "give {layer name: (n, 2) nominal positions in px}"
+    require(layout, Mapping, "the layout", wanted)
     drawn = {str(name): np.atleast_2d(np.asarray(points, float)) for name, points in layout.items()}
     if not drawn:
-        raise InputError(
-            "the layout has no layers: give {layer name: (n, 2) nominal positions in px}"
-        )
+        raise InputError(f"the layout has no layers: {wanted}")
     for name, points in drawn.items():
         if (
             points.ndim != 2
@@ -203,16 +202,12 @@ def _check_options(
     method: str,
 ) -> None:
     if diameter_px is not None:
-        require(
-            diameter_px,
-            Real,
-            "diameter_px",
-            "one width in px for all layers, or None to measure it",
-        )
-    if diameter_px is not None and not 2.0 <= diameter_px <= 500.0:
-        raise InputError(
-            f"diameter_px = {diameter_px} px: allowed are 2 to 500 px, or None to measure it"
-        )
+        wanted = "one width in px for all layers, or None to measure it"
+        require(diameter_px, Real, "diameter_px", wanted)
+        if not 2.0 <= diameter_px <= 500.0:
+            raise InputError(
+                f"diameter_px = {diameter_px} px: allowed are 2 to 500 px, or None to measure it"
+            )
     if polarity not in (None, "bright", "dark"):
         raise InputError(
             f"polarity = {polarity!r}: allowed are 'bright', 'dark', or None to find it in the "

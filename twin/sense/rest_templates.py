@@ -181,13 +181,10 @@ class LayerSignal:
         def with_ground(weights: Floats) -> Singles:
             return np.array([*weights, np.median(sample @ weights)], np.float32)
 
-        shows = [
-            [
-                *weights,
-                float(np.median(sample @ weights)) + max(SHOWS * float(weights @ colour), SHOWS_DN),
-            ]
-            for weights, colour in zip(own, colours, strict=True)
-        ]
+        shows = []
+        for weights, colour in zip(own, colours, strict=True):
+            least = max(SHOWS * float(weights @ colour), SHOWS_DN)
+            shows.append([*weights, float(np.median(sample @ weights)) + least])
         signals = []
         mosaic = Flaws.mosaic_sites(picture)
         for number, (weights, colour) in enumerate(zip(own, colours, strict=True)):
@@ -417,7 +414,7 @@ def in_other_light(
     known = np.isfinite(change)
     slope = slope_terms(places, size) @ _smooth_gradient(change[known], places[known], size).T
     edge = 5.0 / 7.0 * fitted[:, LEVEL] * (1.0 + shape[:, 5]) / shape[:, 6]
-    fitted[:, CENTRE] -= slope * (np.sqrt(shape[:, 0] * shape[:, 2]) / edge)[:, None]
+    fitted[:, CENTRE] -= slope * (templates.radius_px / edge)[:, None]
     return relit, fitted
 
 
@@ -492,7 +489,7 @@ def _smooth_noise(variances: Floats, places: Pixels, size: Sequence[int]) -> Flo
 def noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
     """Return (n, 2) the noise's variances in another picture than that at rest: never less, and
     more as the ground around the markers at ``places`` (n, 2), px, has more."""
-    radius = float(np.sqrt(np.nanmedian(templates.shape[:, 0] * templates.shape[:, 2])))
+    radius = float(np.nanmedian(templates.radius_px))
     variances = _noise_variances(
         picture, templates.own, templates.sites, places, radius, 2.0 * USUAL_BLUR_PX
     )
@@ -504,8 +501,7 @@ def noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
 
 def _widest(templates: Templates) -> float:
     """Return how far a usual marker reaches with its blur, px."""
-    axes = templates.usual_shape
-    return float(np.sqrt(axes[0] * axes[2]) + axes[6])
+    return templates.usual_radius_px + float(templates.usual_shape[6])
 
 
 def _covered(picture: Picture, marks: Pixels, radius: float) -> Bools:
@@ -669,7 +665,7 @@ def _moved_by_ground(
     what is around the marker, and by that behind it too; NaN where too much is ``covered`` (h, w).
     And (2,) the usual variances of that by single pixels' noise."""
     shape = templates.usual_shape
-    radius, blur = float(np.sqrt(shape[0] * shape[2])), float(shape[6])
+    radius, blur = templates.usual_radius_px, float(shape[6])
     height, width = picture.shape[:2]
     offset = disc_offsets(radius + blur)
     moved, by_noise = np.full((len(places), 4), np.nan), np.zeros(2)

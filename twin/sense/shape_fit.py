@@ -110,7 +110,7 @@ def fit_shapes(
     rows = np.flatnonzero(np.isfinite(start_px.sum(axis=1) + radius_px))
     start, radius = start_px[rows], radius_px[rows]
     middle = np.rint(start).astype(np.int64)
-    offset, _ = disc(reach_px)
+    offset = disc(int(reach_px**2))[0]
     signal, use = np.empty((2, len(rows), offset.shape[1]), np.float32)
     colour = tuple(own)
     for k, (column, row) in enumerate(middle):
@@ -643,7 +643,7 @@ class OwnPictures:
         centre, level = known[:, CENTRE].copy(), templates.level[rows, None]
         warp = (known[:, SCALE] / rest[:, SCALE])[:, None, None] * np.eye(2)
         light = np.tile([0.0, 1.0, 0.0, 0.0, 0.0], (len(rows), 1))
-        radius = np.sqrt(templates.shape[rows, 0] * templates.shape[rows, 2])
+        radius = templates.radius_px[rows]
         noise = templates.noise[rows].sum(axis=1)[:, None]  # of both pictures
         most_stretch, most_moved = LARGEST_STEP
         step, inverse = radius.copy(), np.zeros((len(rows), 11, 11))
@@ -722,8 +722,8 @@ def _views(picture: Picture, templates: Templates) -> tuple[list[Singles], Bools
     for other in templates.others:
         shown &= picture @ other[:3] <= other[3]
     signal = picture @ templates.own[:3]
-    radius = float(np.sqrt(templates.usual_shape[0] * templates.usual_shape[2]))
-    return [gaussian_filter(signal, share * radius) for share in COARSE], shown
+    blurs = [share * templates.usual_radius_px for share in COARSE]
+    return [gaussian_filter(signal, blur) for blur in blurs], shown
 
 
 def _pixels(shown: Bools, place: Ints) -> tuple[Bools, Ints, Ints]:

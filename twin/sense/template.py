@@ -31,8 +31,9 @@ LANES = 16
 """So many pixels of a row are worked on at once."""
 
 
-def disc(radius: float) -> tuple[Ints, Ints]:
-    """Return the pixels within ``radius``, px; not to be written to.
+@lru_cache(maxsize=64)
+def disc(square: int) -> tuple[Ints, Ints, Singles]:
+    """Return the pixels within the root of ``square``, px; not to be written to.
 
     Returns
     -------
@@ -40,14 +41,9 @@ def disc(radius: float) -> tuple[Ints, Ints]:
         (2, m) offsets, row by row, filled up to a multiple of 8 by far ones.
     runs
         (rows, 3) row, first column and number of its pixels.
+    place
+        ``offset`` as float32, at most 1000.
     """
-    return _disc(int(radius**2))[:2]
-
-
-@lru_cache(maxsize=64)
-def _disc(square: int) -> tuple[Ints, Ints, Singles]:
-    """Return `disc` for a squared radius, of which pixels' squared distances need no fraction, and
-    its offsets as float32, at most 1000."""
     reach = math.isqrt(square)
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     inside = column**2 + row**2 <= square
@@ -61,7 +57,7 @@ def _disc(square: int) -> tuple[Ints, Ints, Singles]:
 
 def disc_offsets(radius: float) -> Ints:
     """Return (m, 2) offsets of the pixels within ``radius``, px, without those that fill up."""
-    offset, runs = disc(radius)
+    offset, runs, _ = disc(int(radius**2))
     return np.asarray(offset[:, : int(runs[:, 2].sum())].T)
 
 
@@ -706,6 +702,16 @@ class Templates:
         return np.asarray(self.shape[:, 6] / np.sqrt(7.0))
 
     @cached_property
+    def radius_px(self) -> Floats:
+        """(n,) mean radius, px."""
+        return np.asarray(np.sqrt(self.shape[:, 0] * self.shape[:, 2]))
+
+    @property
+    def usual_radius_px(self) -> float:
+        """That of `usual_shape`, px."""
+        return float(np.sqrt(self.usual_shape[0] * self.usual_shape[2]))
+
+    @cached_property
     def third(self) -> Floats:
         """(n, 2) third harmonic of the edge at rest, px."""
         return np.ascontiguousarray(self.rest[:, THIRD])
@@ -714,8 +720,7 @@ class Templates:
     def third_weakened(self) -> Floats:
         """(n,) by how much blur weakens an edge's third harmonic more than its first, which is
         motion."""
-        radius = np.sqrt(self.shape[:, 0] * self.shape[:, 2])
-        return np.asarray(np.exp(4.0 * (self.blur_px / radius) ** 2))
+        return np.asarray(np.exp(4.0 * (self.blur_px / self.radius_px) ** 2))
 
     @cached_property
     def smooths_third(self) -> float:
@@ -729,7 +734,7 @@ class Templates:
         if not self.coherent:
             return 1.0
         square = -0.25 / math.log(1.0 - self.usual_misfit**-0.5)
-        return math.exp(4.0 * square / float(self.usual_shape[0] * self.usual_shape[2]))
+        return math.exp(4.0 * square / self.usual_radius_px**2)
 
     @cached_property
     def usual_shape(self) -> Floats:
@@ -763,7 +768,7 @@ class Templates:
         (n, `COLUMNS`)
         """
         out = np.full((len(start_px), COLUMNS), np.nan)
-        offset, runs, place = _disc(int(self.reach_px**2))
+        offset, runs, place = disc(int(self.reach_px**2))
         room = np.empty((2, offset.shape[1] + LANES), np.float32)
         _fit_centres(
             picture,

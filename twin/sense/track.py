@@ -202,11 +202,9 @@ def track(
     >>> import twin
     >>> row, column = np.mgrid[0:120, 0:160]
     >>> def dots(moved_px):
-    ...     across = (column - moved_px) % 20 - 10
-    ...     grey = np.clip(5.5 - np.hypot(across, row % 20 - 10), 0, 1)
-    ...     return np.repeat((20 + 200 * grey[:, :, None]).astype(np.uint8), 3, axis=2)
-    >>> places = [(x, y) for y in range(10, 120, 20) for x in range(10, 160, 20)]
-    >>> layout = {"dots": np.array(places, float)}
+    ...     away = np.hypot((column - moved_px) % 20 - 10, row % 20 - 10)
+    ...     return (20 + 200 * np.clip(5.5 - away, 0, 1)).astype(np.uint8)
+    >>> layout = {"dots": np.mgrid[10:160:20, 10:120:20].reshape(2, -1).T}
     >>> found = twin.track(dots(0), dots(1.5), layout)
     >>> round(float(np.median(found.shift_px[:, 0])), 1)
     1.5
@@ -255,11 +253,9 @@ class Tracker:
     >>> import twin
     >>> row, column = np.mgrid[0:120, 0:160]
     >>> def dots(moved_px):
-    ...     across = (column - moved_px) % 20 - 10
-    ...     grey = np.clip(5.5 - np.hypot(across, row % 20 - 10), 0, 1)
-    ...     return np.repeat((20 + 200 * grey[:, :, None]).astype(np.uint8), 3, axis=2)
-    >>> places = [(x, y) for y in range(10, 120, 20) for x in range(10, 160, 20)]
-    >>> layout = {"dots": np.array(places, float)}
+    ...     away = np.hypot((column - moved_px) % 20 - 10, row % 20 - 10)
+    ...     return (20 + 200 * np.clip(5.5 - away, 0, 1)).astype(np.uint8)
+    >>> layout = {"dots": np.mgrid[10:160:20, 10:120:20].reshape(2, -1).T}
     >>> tracker = twin.Tracker(dots(0), layout)
     >>> found = [tracker.track(dots(moved)) for moved in (1.0, 2.0)]
     >>> [round(float(np.median(one.shift_px[:, 0])), 1) for one in found]
