@@ -227,7 +227,8 @@ class Estimates:
             patches = self._cut(state, step, changed)
         if not self._job.friction.any() and self._job.relaxation is None:
             increments = Share()
-        elif others and (fewer := _state_of(self._fewer, step)) is not None:
+        elif others and step < len(self._fewer):
+            fewer = self._fewer[step]
             whole = self._coarser[1][step]
             pairs = zip((whole, *whole.also), (fewer, *fewer.also), strict=True)
             traction = max(_traction_change(a, b) for a, b in pairs)
@@ -250,14 +251,14 @@ class Estimates:
         body = patches = increments = Share()
         if state.load.moving.terms and self._watched is not None:
             others = self._others(step)
-            fewer = _state_of(self._fewer, step)
             body = Share(markers=self._watched.error(state.load))
-            if not others or fewer is None:
+            if not others or step >= len(self._fewer):
                 patches = Share.unknown()
             else:
+                same = [s for _, s in others]
                 moved, whole, slow, *changed = (
                     self._half_space(s.load, self._points)
-                    for s in (state, self._coarser[1][step], fewer, *(s for _, s in others))
+                    for s in (state, self._coarser[1][step], self._fewer[step], *same)
                 )
                 patches = Share(markers=max(_over(one - moved, moved) for one in changed))
                 increments = Share(markers=_over(slow - whole, moved))
@@ -313,7 +314,7 @@ class Estimates:
         where those are too few, don't fit on the body, or miss a rim."""
         across = self._job.setups[0].across
         enough = [n for n in (across // 2, 3 * across // 4, 2 * across) if n >= _FEWEST_COMPARED]
-        found = []
+        found: list[tuple[int, list[ContactState]]] = []
         for number in (3 * across // 2, 2 * across) if self._resolves_rims else enough:
             if states := self._on_other_patches(self._increments, number):
                 found.append((number, states))
@@ -389,7 +390,7 @@ class Estimates:
         edge = rounded = 0.0
         for one in borders:
             face = one.setup.face
-            if face is None or face.edge_mm == 0.0 or not one.touches:
+            if face is None or not (one.is_rounded and one.touches):
                 continue
             flat = 1.0 - face.edge_mm / min(face.half_mm)
             if one.is_graded:
@@ -571,9 +572,7 @@ class _Response:
             contact_jacobian[rows, :, own] = first.jacobian(
                 patches.centre_mm[rows], patches.frames[rows], aside
             )
-            by_force[own] = programme.steps[step].by_force[
-                MOTIONS * number : MOTIONS * (number + 1)
-            ]
+            by_force[own] = programme.steps[step].of_probe(number).by_force
             friction[rows] = programme.effective_friction[number]
         slips = np.concatenate([one.slip for _, one in touching])
         slips &= np.isfinite(friction)
@@ -638,10 +637,6 @@ def _growth(wide: float) -> float:
     return 1.0 + (4.0 * wide + 12.0 * wide**3) / (3.0 + 4.0 * wide + 4.0 * wide**3)
 
 
-def _state_of(states: list[ContactState], step: int) -> ContactState | None:
-    return states[step] if step < len(states) else None
-
-
 def _patch_mm(state: ContactState) -> float:
     """Return the root mean square side of the patches in contact, mm."""
     return math.sqrt(state.area_mm2 / max(1, len(state.pressure_mpa)))
@@ -678,12 +673,9 @@ class _Border:
     def half_width_mm(self) -> float:
         """The least half width of the patches in contact under a flat face."""
         load = self.load
-        away = np.abs(
-            np.einsum(
-                "kij,kj->ki", load.frames[:, :2], load.centre_mm - load.centre_mm.mean(axis=0)
-            )
-        )
-        return float((away + load.half_mm).max(axis=0).min())
+        away = load.centre_mm - load.centre_mm.mean(axis=0)
+        aside = np.abs(np.einsum("kij,kj->ki", load.frames[:, :2], away))
+        return float((aside + load.half_mm).max(axis=0).min())
 
     @cached_property
     def _sides(self) -> tuple[Floats, Floats, Ints]:
@@ -710,9 +702,7 @@ class _Border:
     @cached_property
     def patches(self) -> Bools:
         """(k,) whether patches in contact lack one of their four neighbours."""
-        found = np.zeros(len(self.state.pressure_mpa), bool)
-        found[self.open_sides[0]] = True
-        return found
+        return np.asarray((self._sides[2] < 0).any(axis=1))
 
     @cached_property
     def ends_sharply(self) -> float:

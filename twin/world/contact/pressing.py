@@ -25,9 +25,7 @@ from twin.parts.press import (
     INCREMENTS,
     MOST_PATCHES,
     Cylinder,
-    Pillar,
     Press,
-    Probe,
     Sphere,
 )
 from twin.theory.relaxation import Relaxation
@@ -100,21 +98,21 @@ def _combine_states(states: list[ContactState]) -> ContactState:
     )
 
 
-def _stopped_at(count: int, programme: LoadProgramme, why: str) -> str:
+def _stopped_at(programme: LoadProgramme, path: list[ContactState], why: object) -> str:
     return (
-        f"step {count} of {len(programme.steps)} did not converge, the last state that did is "
-        f"kept; {why}"
+        f"step {len(path) + 1} of {len(programme.steps)} did not converge, the last state that did "
+        f"is kept; {why}"
     )
 
 
 def _attach_last_state(
-    refused: ContactError, path: list[ContactState], count: int, programme: LoadProgramme
+    refused: ContactError, path: list[ContactState], programme: LoadProgramme
 ) -> None:
     """Give an error the last state before the step that it refuses, as far as there is one."""
     if path:
         reason = (
-            f"step {count} of {len(programme.steps)} was refused, the state before it is kept; "
-            f"{refused}"
+            f"step {len(path) + 1} of {len(programme.steps)} was refused, the state before it is "
+            f"kept; {refused}"
         )
         refused.last_state = replace(path[-1], path=tuple(path), complete=False, reason=reason)
 
@@ -209,13 +207,10 @@ class _Reach:
         if _is_lifted(still, self.touch_z):
             pose = _lifted_place(still, self.pose, self.touch_z)
             return replace(self, pose=pose, sideways=sideways)
-        disc = closed_form_contact(setup, still, self.pose, self.plane, self.touch_z)
+        start = setup, still, self.pose, self.plane, self.touch_z
+        disc = closed_form_contact(*start)
         plane, contact, pose = (
-            (self.plane, *disc)
-            if disc
-            else find_contact(
-                setup, still, self.pose, self.plane, self.touch_z, may_turn=self.box is None
-            )
+            (self.plane, *disc) if disc else find_contact(*start, may_turn=self.box is None)
         )
         grip_mm = float(programme.friction[number]) * (float(pose[Z]) - self.touch_z)
         contact = contact.joined(_slid(setup, contact, sideways, grip_mm, plane))
@@ -293,16 +288,17 @@ class _OnGrid:
             except NotSettled as unsettled:
                 if not self.path:
                     raise
-                self.reason = _stopped_at(count, programme, str(unsettled))
+                self.reason = _stopped_at(programme, self.path, unsettled)
                 return
             except ContactError as refused:
-                _attach_last_state(refused, self.path, count, programme)
+                _attach_last_state(refused, self.path, programme)
                 raise
+            if stopped:
+                self.reason = _stopped_at(programme, self.path, stopped)
             self.history = history
             self.reached |= touched
             self.path.append(state)
             if stopped:
-                self.reason = _stopped_at(count, programme, stopped)
                 return
 
 
@@ -540,16 +536,15 @@ def _frictionless_path(
     """Take the whole path; return the states, and why it stopped before its end, if it did."""
     path = list(memory.states)
     pose = np.zeros(MOTIONS * len(programme.setups)) if memory.pose is None else memory.pose
-    for count in range(len(path) + 1, len(programme.steps) + 1):
-        step = programme.steps[count - 1]
+    for step in programme.steps[len(path) :]:
         try:
             state, pose = _frictionless_step(programme, _counted_from(step, pose), pose)
         except NotSettled as stopped:
             if not path:
                 raise
-            return path, _stopped_at(count, programme, str(stopped))
+            return path, _stopped_at(programme, path, stopped)
         except ContactError as refused:
-            _attach_last_state(refused, path, count, programme)
+            _attach_last_state(refused, path, programme)
             raise
         path.append(state)
     memory.pose = pose
@@ -610,41 +605,31 @@ def _frictionless(
     boxes = []
     closed_form = dict[int, Box]()
     for number, setup in enumerate(setups):
-        own = controls[number]
-        start = places[number]
-        z = touch_z[number]
-        disc = closed_form_contact(setup, own, start, planes[number], z)
-        planes[number], box, places[number] = (
-            (planes[number], *disc) if disc else find_contact(setup, own, start, planes[number], z)
-        )
+        start = setup, controls[number], places[number], planes[number], touch_z[number]
+        if disc := closed_form_contact(*start):
+            box, places[number] = disc
+            if setup.face is None:
+                closed_form[number] = box
+        else:
+            planes[number], box, places[number] = find_contact(*start)
         boxes.append(box)
-        if disc is not None and setup.face is None:
-            closed_form[number] = box
     control = Control.joined(controls)
     pose = np.concatenate(places)
     for _ in range(TRIES):
         contacts = ContactProblem(setups, fitted_grids(setups, planes, boxes))
         found = solve_frictionless(contacts, control, pose, np.array(touch_z))
         pose = found.pose
-        for (setup, rows, motions), grid, z in zip(
-            contacts.rows, contacts.grids, touch_z, strict=True
-        ):
+        missed = False
+        for number, (setup, rows, motions) in enumerate(contacts.rows):
+            grid, z, active = contacts.grids[number], touch_z[number], found.active[rows]
             setup.check_inside(grid, found.part(rows, motions), float(pose[motions][Z]) - z)
-        missed = [
-            number
-            for number, (_, rows, _) in enumerate(contacts.rows)
-            if number in closed_form
-            and not (
-                found.active[rows].any()
-                and contacts.grids[number].bounds(found.active[rows]).fills(closed_form[number])
-            )
-        ]
-        for number in missed:
-            motions = slice(MOTIONS * number, MOTIONS * (number + 1))
-            planes[number], boxes[number], pose[motions] = find_contact(
-                setups[number], controls[number], pose[motions], planes[number], touch_z[number]
-            )
-            del closed_form[number]
+            known = closed_form.get(number)
+            if known is not None and not (active.any() and grid.bounds(active).fills(known)):
+                missed = True
+                planes[number], boxes[number], pose[motions] = find_contact(
+                    setup, controls[number], pose[motions], planes[number], z
+                )
+                del closed_form[number]
         if not _outgrown(boxes, contacts, found.active) and not missed:
             _refuse_overlap(contacts, found)
             return contacts, found
@@ -815,31 +800,22 @@ def _refuse_unguided(programme: LoadProgramme) -> None:
             )
 
 
-def _outline(probe: Probe) -> Floats:
-    """Return (16, 2) offsets from the axis around the probe's flat face; none for any other
-    probe."""
-    if not isinstance(probe, Cylinder | Pillar):
-        return np.zeros((0, 2))
-    angle = np.arange(16) * math.pi / 8
-    around = np.column_stack([np.cos(angle), np.sin(angle)])
-    if isinstance(probe, Pillar):
-        around /= np.abs(around).max(axis=1, keepdims=True)
-    return np.asarray(around * half_extent(probe))
-
-
 def _refuse_overhang(setup: ProbeSetup) -> None:
     """Raise a ContactError where a flat face is bound to run over the edge of a flat surface."""
     first = setup.first
     if first.level:
         return
-    under = first.axis_mm + _outline(setup.probe) @ first.axes[:Z]
-    if not len(under) or first.axes[2, 2] != 1.0 or any(first.tilt_deg):
+    if setup.face is None or first.axes[2, 2] != 1.0 or any(first.tilt_deg):
         return
+    angle = np.arange(16) * math.pi / 8
+    around = np.column_stack([np.cos(angle), np.sin(angle)])
+    if not setup.face.is_round:
+        around /= np.abs(around).max(axis=1, keepdims=True)
+    under = first.axis_mm + around * half_extent(setup.probe) @ first.axes[:Z]
     height = setup.body.surface_from_above(under[:, :2])[:, 2] - under[:, 2]
     missing = np.isnan(height)
-    if missing.any() and not np.any(
-        np.abs(height[~missing]) > 1e-12
-    ):  # met all round at once: the surface is flat
+    # met all round at once: the surface is flat
+    if missing.any() and not np.any(np.abs(height[~missing]) > 1e-12):
         raise ContactError(
             f"contact: the {setup.name} stands out over the edge of the sensing surface: press "
             "further inside, or with a smaller probe"
@@ -851,10 +827,8 @@ def _refuse_crossing(one: Approach, other: Approach) -> None:
     other."""
     away = one.axis_mm - other.axis_mm
     if isinstance(one.probe, Sphere) and isinstance(other.probe, Sphere):
-        away = (
-            away
-            - one.axes[2] * one.probe.diameter_mm / 2
-            + other.axes[2] * other.probe.diameter_mm / 2
+        away -= (
+            one.axes[2] * one.probe.diameter_mm / 2 - other.axes[2] * other.probe.diameter_mm / 2
         )
     elif (
         isinstance(one.probe, Cylinder)

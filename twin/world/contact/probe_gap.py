@@ -67,8 +67,7 @@ class _Rounded:
     radius_mm: float
 
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
-        points = np.ascontiguousarray(points)
-        along = np.ascontiguousarray(along)
+        points, along = np.ascontiguousarray(points), np.ascontiguousarray(along)
         distance, normal = _enter(points, along, self.sharp, self.sizes, self.radius_mm)
         return distance, normal
 
@@ -345,11 +344,10 @@ def half_extent(
     """Return the probe's half sizes along its own first and second axis, mm: of a tilted one, of a
     box around it."""
     if isinstance(probe, Pillar):
-        a = probe.size_mm[0] / 2
-        b = probe.size_mm[1] / 2
-        return (a, b) if not any(tilt_deg) else (math.hypot(a, b), math.hypot(a, b))
+        a, b = probe.size_mm[0] / 2, probe.size_mm[1] / 2
+        return (math.hypot(a, b),) * 2 if any(tilt_deg) else (a, b)
     if isinstance(probe, Sphere | Cylinder | Cone):
-        return probe.diameter_mm / 2, probe.diameter_mm / 2
+        return (probe.diameter_mm / 2,) * 2
     shape = _shape_of(probe, tilt_deg)
     assert isinstance(shape, _Triangles)
     reach = np.abs(shape.corners[..., :2]).max(axis=(0, 1))
@@ -404,7 +402,7 @@ class Approach:
         own = np.abs((points - self.axis_mm) @ self.axes[:Z].T)
         half = np.array(half_extent(self.probe))
         if isinstance(self.probe, Cylinder):
-            return np.asarray(np.hypot(own[:, 0], own[:, 1]) - half[0])
+            return np.asarray(np.hypot(*own.T) - half[0])
         out = np.linalg.norm(np.maximum(own - half, 0.0), axis=1)
         return np.asarray(np.where(out > 0.0, out, np.max(own - half, axis=1)))
 
@@ -601,8 +599,7 @@ class Approach:
         if np.max(np.abs(turn)) < _NO_TURN:
             return np.eye(3)
         angle = float(np.linalg.norm(turn))
-        x, y, z = turn / angle
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        cross = _cross(turn / angle)
         return np.asarray(
             np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
         )
@@ -614,14 +611,18 @@ class Approach:
         if np.max(np.abs(turn)) < _NO_TURN:
             return np.eye(3)
         angle = float(np.linalg.norm(turn))
-        cross = np.array(
-            [[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]]
-        )
+        cross = _cross(turn)
         if angle < 1e-6:
             return np.asarray(np.eye(3) + cross / 2.0)
         first = (1.0 - math.cos(angle)) / angle**2
         second = (angle - math.sin(angle)) / angle**3
         return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+
+
+def _cross(turn: Floats) -> Floats:
+    """Return the (3, 3) matrix of the cross product with a vector from the left."""
+    x, y, z = turn
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -710,7 +711,8 @@ def _surface_intersection(
         if tree is None:
             distance = _met_by_pieces(body, points, direction)
         else:
-            triangle, distance = tree.first_along(points, np.broadcast_to(direction, points.shape))
+            lines = np.broadcast_to(direction, points.shape)
+            triangle, distance = tree.first_along(points, lines)
             distance = np.where(triangle >= 0, distance, np.nan)
         met = np.isfinite(distance)
         foot = points + np.where(met, distance, 0.0)[:, None] * direction

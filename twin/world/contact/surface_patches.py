@@ -191,7 +191,11 @@ class Box(NamedTuple):
             v1=max(self.v1, other.v1),
             width_mm=min(self.width_mm, other.width_mm),
             edges=self.edges if any(self.edges) else other.edges,
-            face=max(self.face, other.face, key=_size) if self.face and other.face else None,
+            face=(
+                max(self.face, other.face, key=lambda face: math.prod(face.half_mm))
+                if self.face and other.face
+                else None
+            ),
         )
 
     def grown(self, u: float, v: float) -> Box:
@@ -218,8 +222,7 @@ class Box(NamedTuple):
         jump = -_JUMP * float(gap[inside].min())
         lines: list[tuple[float, ...]] = []
         for axis in range(2):
-            ahead = np.diff(inside.astype(int), axis=axis) != 0
-            first, second = np.nonzero(ahead)
+            first, second = np.nonzero(np.diff(inside, axis=axis))
             if len(first) == 0:
                 lines.append(())
                 continue
@@ -235,9 +238,7 @@ class Box(NamedTuple):
                 other[~inner] = middle[~inner]
             # 3. The edge is sharp where the gap jumps; a smooth border moves with the load.
             outer = gap_at(other)
-            sharp = np.isfinite(outer - gap_at(one)) & (outer - gap_at(one) > jump) | np.isinf(
-                outer
-            )
+            sharp = np.isinf(outer) | (outer - gap_at(one) > jump)
             step = float(u[1] - u[0] if axis == 0 else v[1] - v[0])
             lines.append(_common(((one + other) / 2.0)[sharp, axis], step / 2.0**_HALVINGS))
         return self._replace(edges=(lines[0], lines[1]))
@@ -248,10 +249,6 @@ class Box(NamedTuple):
         u0, u1, across = _side(self.u0, self.u1, counts[0], np.array(self.edges[0]))
         v0, v1, along = _side(self.v0, self.v1, counts[1], np.array(self.edges[1]))
         return self._replace(u0=u0, u1=u1, v0=v0, v1=v1), (across, along)
-
-
-def _size(face: Footprint) -> float:
-    return math.prod(face.half_mm)
 
 
 def _common(found: Floats, exact: float) -> tuple[float, ...]:
@@ -427,12 +424,7 @@ class Patches:
     @property
     def unloaded(self) -> Rectangles:
         """All patches under no force."""
-        return Rectangles(
-            centre_mm=self.centre_mm,
-            frames=self.frames,
-            half_mm=self.half_mm,
-            force_n=np.zeros((len(self), 3)),
-        )
+        return self.rectangles(np.zeros((len(self), 3)), np.arange(len(self)))
 
     def rectangles(self, force_n: Floats, chosen: Ints) -> Rectangles:
         """Return the n chosen patches under their forces (n, 3), global axes."""
@@ -522,18 +514,12 @@ class Patches:
         middle, cell = _cells(face, box, across)
         outside, outer = _bordering(middle, cell, box, face)
         if plane.is_level(body, box):
-            kept = ~outside
-            half = cell[kept]
-            return cls(
-                centre_mm=plane.origin_mm + middle[kept] @ plane.axes[:2],
-                frames=np.tile(plane.axes, (len(half), 1, 1)),
-                half_mm=half,
-                middle_mm=middle[kept],
-                cell_mm=half,
-                border=outer[kept],
-                edge=np.zeros(len(half), bool),
-            )
-        points, frames, half, off = _on_body(body, plane, middle, cell)
+            points = plane.origin_mm + middle @ plane.axes[:2]
+            frames = np.tile(plane.axes, (len(cell), 1, 1))
+            half = cell
+            off = np.zeros(len(cell), bool)
+        else:
+            points, frames, half, off = _on_body(body, plane, middle, cell)
         kept = ~(off | outside)
         edge = _touching(middle, cell, off) if off.any() else off
         return cls(
