@@ -99,9 +99,8 @@ def test_difference_to_linear_theory_is_that_of_another_code(case):
     assert state.contact_radius_mm == pytest.approx(touched, rel=1e-2 if case["kind"] == "sphere" else 1.5e-2)
     assert state.force_n == pytest.approx([0.0, 0.0, case["force_n"]], abs=1e-9)
     assert state.move_mm[2] == pytest.approx(state.indentation_mm, rel=1e-9)
-    added = sensor.displacement(places, state) - made("linear", **{"body.thickness_mm": thick}).displacement(
-        places, straight
-    )
+    linear_mm = made("linear", **{"body.thickness_mm": thick}).displacement(places, straight)
+    added = sensor.displacement(places, state) - linear_mm
     assert added == pytest.approx(state.load.strained.displacement(places), abs=1e-9)
 
 
@@ -145,11 +144,8 @@ def test_stated_error_covers_what_a_finer_mesh_changes(probe, force, thick, nu, 
     more = round_slab.SlabStrain(press, body, rubber, state, places)
     stated, field = more.error.markers, more.displacement(places)
     graded = round_slab.Slab.Grid.graded
-
-    def finer(ends, count, reach, share, radius, thickness):
-        return graded(ends, count, reach, 1.5 * share, radius, thickness)
-
-    monkeypatch.setattr(round_slab.Slab.Grid, "graded", staticmethod(finer))
+    finer = staticmethod(lambda *given: graded(*given[:3], 1.5 * given[3], *given[4:]))
+    monkeypatch.setattr(round_slab.Slab.Grid, "graded", finer)
     other = round_slab.SlabStrain(press, body, rubber, state, places)
     left = largest(other.displacement(places) - field) / largest(sensor.displacement(places, state))
     assert left < min(stated, most)
@@ -177,8 +173,7 @@ def test_rubber_thinner_than_its_contact_states_an_error_without_markers():
 def test_load_steps_end_where_one_step_does_and_solve_presses_that_fail_at_once(monkeypatch):
     """Under 6 N on a fairly sharp cylinder Newton's steps from the linear solution do not converge."""
     probe = Cylinder(diameter_mm=5, edge_mm=0.2)
-    heavy = twin.Press(probe=probe, force_n=(0, 0, 6.0))
-    assert made().press(heavy).load.strained.indentation_mm > 0.02
+    assert made().press(twin.Press(probe=probe, force_n=(0, 0, 6.0))).load.strained.indentation_mm > 0.02
     press = twin.Press(probe=probe, force_n=(0, 0, 3.0))
     field = made().press(press).load.strained.displacement(PLACES)
     settle = round_slab.SlabStrain.settled
@@ -194,9 +189,14 @@ def test_load_steps_end_where_one_step_does_and_solve_presses_that_fail_at_once(
     steps = made().press(press).load.strained
     assert not left
     assert steps.displacement(PLACES) == pytest.approx(field, abs=1e-3 * largest(field))
-    monkeypatch.setattr(round_slab, "LOAD_STEPS", 1)
-    with pytest.raises(TwinError, match=r"neo_hookean.*did not converge in 20.*press with less force"):
-        made().press(heavy)
+
+
+@pytest.mark.slow
+def test_rubber_that_stiffens_is_pressed_deep_in_load_steps_as_by_another_code():
+    """Yeoh's law, a/R 0.86: linear theory is 12.6 % too deep. NGSolve as in tests/reference, its slab 60 mm wide."""
+    of = {"material.law_ratios": [0.0128, 0.32308], "body.thickness_mm": 2.11265}
+    press = twin.Press(probe=Sphere(diameter_mm=3.11755), force_n=(0, 0, 4.874225))
+    assert made("yeoh", **of).press(press).load.strained.indentation_mm == pytest.approx(0.90732 - 1.03841, abs=1e-3)
 
 
 def test_press_elsewhere_of_other_units_and_of_another_size_is_the_same_press():
@@ -245,11 +245,14 @@ def test_probe_held_by_a_motion_carries_the_force_of_another_code():
 
 @pytest.mark.parametrize(
     ("probe", "refused", "words"),
-    [(BALL, (0.3, 0.0, 1.0), "balanced"), (Cylinder(diameter_mm=5), (None, None, 9.0), "did not converge in 20")],
+    [
+        (BALL, (0.3, 0.0, 1.0), "balanced"),
+        (Cylinder(diameter_mm=5), (None, None, 9.0), "neo_hookean.*did not converge in 20.*press with less force"),
+    ],
 )
 def test_step_that_is_refused_leaves_the_state_before_it_with_its_strain(probe, refused, words, monkeypatch):
     """Without friction nothing holds the first one aside; the other one fails at finite strain only, in one step."""
-    monkeypatch.setattr(round_slab, "LOAD_STEPS", 1)
+    monkeypatch.setattr(round_slab, "LOAD_STEPS", (1.0, 1.0))
     steps = (twin.Step(force_n=(None, None, 1.0)), twin.Step(force_n=refused))
     sensor = made()
     with pytest.raises(ContactError, match=words) as caught:
@@ -376,10 +379,7 @@ def test_probe_held_along_a_normal_carries_less_force_its_gradient_is_a_slope_an
 @pytest.mark.slow
 @pytest.mark.parametrize("edge_mm", [0.1, 0.06])
 def test_whole_block_under_a_flat_face_is_another_codes_slab(edge_mm):
-    """A cylinder on the mesh that square pillars and several probes get, where its rim is rounded to 0.25 or 0.3 mm.
-
-    On the second case's 4 mm of rubber that leaves 2 %.
-    """
+    """A cylinder on the mesh of pillars, where its rim is rounded: on the second case's 4 mm of rubber 2 % are left."""
     case = next(one for one in TRUTH["cases"] if one.get("edge_mm") == edge_mm)
     probe = Cylinder(diameter_mm=case["diameter_mm"], edge_mm=edge_mm)
     press = twin.Press(probe=probe, force_n=(0, 0, case["force_n"]))
@@ -404,15 +404,14 @@ def test_two_far_spheres_sink_as_one_does():
     sensor = made()
     two = sensor.press(twin.Press(probe=ball, at_mm=(-8, 0), force_n=(0, 0, 0.5), also=(other,)))
     one = sensor.press(twin.Press(probe=ball, at_mm=(-8, 0), force_n=(0, 0, 0.5)))
-    strained = one.load.strained.indentation_mm
-    assert two.load.strained.moved[:, 2] == pytest.approx([strained] * 2, rel=0.15)
+    strained = one.load.strained
+    assert two.load.strained.moved[:, 2] == pytest.approx([strained.indentation_mm] * 2, rel=0.15)
     assert two.also[0].move_mm[2] == pytest.approx(two.also[0].indentation_mm, rel=1e-9)
     assert two.also[0].validity.linearisation_basis == "measured"
     assert two.also[0].validity.notes == two.validity.notes
     places = np.array([[-8.0, 0.0, 1.0], [-8.5, 0.3, 1.5]])
-    assert two.load.strained.displacement(places) == pytest.approx(
-        one.load.strained.displacement(places), abs=5e-3 * largest(sensor.displacement(places, one))
-    )
+    most = 5e-3 * largest(sensor.displacement(places, one))
+    assert two.load.strained.displacement(places) == pytest.approx(strained.displacement(places), abs=most)
 
 
 @pytest.mark.slow
@@ -537,17 +536,19 @@ def test_closed_path_with_friction_loses_work_as_by_linear_theory():
 
 
 @pytest.mark.slow
-def test_long_slide_ends_like_a_shorter_one():
-    """The linear solution on the mesh lagged behind or lost contact: its slide counts from the rubber carried along."""
+def test_slide_ends_like_a_shorter_one_and_like_one_in_steps():
+    """The linear solution on the mesh lagged behind or lost contact: its slide counts from the rubber carried along. In
+    steps, contact did not come to balance: Newton's steps kept the secant of slip for good."""
     found = []
-    for way in (1.2, 2.4):
-        steps = twin.Step(force_n=(None, None, 1.5)), twin.Step(force_n=(None, None, 1.5), move_mm=(way, None, None))
+    for ways in ((2.4,), (1.2,), (0.1, 0.2, 0.3, 0.6)):
+        steps = tuple(twin.Step(force_n=(None, None, 1.5), move_mm=(way, None, None)) for way in (None, *ways))
         state = made().press(twin.Press(probe=BALL, friction=0.5, steps=steps))
         places = PLACES + state.move_mm * [1.0, 1.0, 0.0]
         found.append((state.load.strained.displacement(places), state.load.strained.indentation_mm))
-    (first, deep), (last, deeper_mm) = found
-    assert largest(last - first) < 0.01 * state.indentation_mm
-    assert deeper_mm == pytest.approx(deep, abs=0.005)
+    (last, deep), *others = found
+    for other, deeper_mm in others:
+        assert largest(other - last) < 0.01 * state.indentation_mm
+        assert deeper_mm == pytest.approx(deep, abs=0.005)
 
 
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)

@@ -188,12 +188,11 @@ def test_sphere_that_slides_is_rubbed_by_the_coefficient_times_its_pressure_alon
     body = Block(width_mm=10, length_mm=10, thickness_mm=5)
     press = twin.Press(probe=twin.Sphere(diameter_mm=6), indentation_mm=deep)
     approach = Approach.of_press(press, body)
-    mesh = refined(
-        body_mesh(body, "sketch"),
-        body,
-        lambda points: 0.6 + 0.8 * np.maximum(np.linalg.norm(points - approach.touch_mm, axis=1) - 1.2, 0.0),
-        local=True,
-    )
+
+    def wanted(points):
+        return 0.6 + 0.8 * np.maximum(np.linalg.norm(points - approach.touch_mm, axis=1) - 1.2, 0.0)
+
+    mesh = refined(body_mesh(body, "sketch"), body, wanted, local=True)
     rubber = Rubber(mesh, body, LAWS[0])
     touch = SurfaceTouch(mesh, body, approach, True, [(approach.touch_mm, 2.5)])
     contact = RubberContact(rubber, [touch], 1.0, friction)

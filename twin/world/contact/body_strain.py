@@ -2,12 +2,12 @@
 and of a sphere with friction on a block or a finger, on a mesh of the whole body.
 
 The mesh is the body's coarsest one, refined under the probes and at the rims of flat faces. The
-linear solution's Newton steps begin at the contact of `pressing`, those of the other one at the
-linear solution.
+linear solution's Newton steps begin at the contact of `pressing`, the other one's at the linear
+solution.
 
-A probe with friction takes both solutions along its path, in the same few parts of every step: what
-this division leaves is in both, too. In a part what touches first slides freely; then friction acts
-from where it touched (`twin.world.contact.whole_body`), and the part is solved again.
+A probe with friction takes both solutions along its path, in the same few parts of every step. What
+touches in a part first slides freely; then friction acts from where it touched
+(`twin.world.contact.whole_body`), and the part is solved again.
 
 A flat face's rim is rounded by a tenth of its half width at least, on which the difference hardly
 depends.
@@ -60,9 +60,9 @@ less than half its edges."""
 
 @dataclass(frozen=True)
 class _Fineness:
-    """The longest edge under the probe over the contact's radius, its growth away from there,
-    mm/mm, the longest edge at a flat face's rim, and into how many parts the first step of a path
-    with friction is divided, and a later one."""
+    """The longest edge under the probe over the contact's radius, its growth away from there, the
+    longest edge at a flat face's rim, and the parts of the first step of a path with friction, and
+    of a later one."""
 
     edge: float
     growth: float
@@ -78,9 +78,8 @@ _WAY = 0.4
 """Most that a probe with friction moves sideways in a part of a step, over its contact's radius."""
 
 _LEAST_RIM, _COARSE_RIM = 0.1, 0.2
-"""Least radius of a flat face's rim over its half width: a sharper one is solved with this radius,
-on the coarser mesh with the other one. On rubber thicker than the face is wide what linear theory
-leaves out hardly depends on it (docs/validity.md)."""
+"""Least radius of a flat face's rim over its half width, and on the coarser mesh. On rubber thicker
+than the face is wide what linear theory leaves out hardly depends on it (docs/validity.md)."""
 
 _TOLERANCE = 1.5e-3
 """What Newton's steps leave, and both meshes miss, over the largest displacement."""
@@ -88,9 +87,8 @@ _TOLERANCE = 1.5e-3
 
 @dataclass(frozen=True)
 class _Shares:
-    """The least error over what linear theory leaves out at a point, the growth of this share per
-    contact radius of distance from the contact's middle, and the error over the change to the
-    coarser mesh."""
+    """The least error over what linear theory leaves out at a point, its growth per contact radius
+    away from the contact's middle, and the error over the change to the coarser mesh."""
 
     near: float
     growth: float
@@ -125,9 +123,8 @@ class BodyStrain(FiniteStrain):
 
     Parameters and errors are those of `twin.world.contact.round_slab.SlabStrain`, and an InputError
     where a press isn't solved. It takes about 2 s under a sphere, 3 to 20 s under others, which
-    ``coarse`` refuses. ``like`` is a nearly equal press, whose mesh is used and at whose solutions
-    steps begin. A probe with friction needs ``path``, all its states, and ``like`` from the state
-    before.
+    ``coarse`` refuses. ``like`` is a nearly equal press, whose mesh and solutions are begun with. A
+    probe with friction needs ``path``, all its states, and ``like`` from the state before.
     """
 
     _pair: _Pair
@@ -188,8 +185,8 @@ class BodyStrain(FiniteStrain):
 
     @cached_property
     def error(self) -> Share:
-        """How far this may be off: what a coarser mesh changes, or a share of what linear theory
-        leaves out, and what a probe that sticks adds."""
+        """What a coarser mesh changes, or a share of what linear theory leaves out, and what a
+        probe that sticks adds."""
         found = super().error
         places = [_place(one) for one in _probes(self._state)]
         away = [np.linalg.norm(self._watched - middle, axis=1) / size for middle, size in places]
@@ -205,8 +202,8 @@ class BodyStrain(FiniteStrain):
         return replace(found, force=force, markers=found.markers + stuck)
 
     def _held(self, pair: FiniteStrain.Solutions) -> Floats:
-        """Return (6,) how much larger the force is, over Young's modulus, with which motions hold
-        the probe aside, and the torque about where it slid to, once a motion turned it."""
+        """Return (6,) how much larger, over Young's modulus, the force is with which motions hold
+        the probe aside, and the torque about where it slid to once a motion turned it."""
         assert isinstance(pair, _Pair)
         linear, finite = pair.linear, pair.finite
         until = self._controls[0][: self._number + 1]
@@ -272,19 +269,13 @@ class BodyStrain(FiniteStrain):
 
         if like is None:
             mesh = refined(body_mesh(self._body, "sketch"), self._body, wanted, local=True)
-            touches = [
-                SurfaceTouch(
-                    mesh,
-                    self._body,
-                    approach,
-                    self._rubs,
-                    [(centre, _REACH * size) for centre, size in near],
-                )
-                for approach, near in contacts
-            ]
+            touches = []
+            for approach, near in contacts:
+                reaches = [(centre, _REACH * size) for centre, size in near]
+                touches.append(SurfaceTouch(mesh, self._body, approach, self._rubs, reaches))
             rubber = Rubber(mesh, self._body, self._material)
             modulus = self._material.youngs_modulus_mpa
-            size = max(size for _, near in self._contacts for _, size in near)
+            size = max(size for _, near in contacts for _, size in near)
             contact = RubberContact(rubber, touches, size, self._friction, modulus)
         else:
             contact = like.contact
@@ -294,9 +285,7 @@ class BodyStrain(FiniteStrain):
             linear, finite = self._at_once(contact, like)
         moved = contact.rubber.displacement(finite.unknowns)
         wider = []
-        for touch, rows, (_, near) in zip(
-            contact.touches, contact.rows, self._contacts, strict=True
-        ):
+        for touch, rows, (_, near) in zip(contact.touches, contact.rows, contacts, strict=True):
             for one in (linear, finite):
                 on = touch.rest_mm[one.pressure[rows] > 0.0]
                 away = [np.linalg.norm(on - centre, axis=1) / size for centre, size in near]
@@ -379,9 +368,8 @@ class BodyStrain(FiniteStrain):
     ) -> tuple[RubberContact.State, RubberContact.State]:
         """Return both solutions after a step of a path with friction, taken in parts.
 
-        ``guided``: whether the linear one is held aside and turned by motions where forces do it,
-        and the other one by the forces of those: just below what friction holds, this mesh's may
-        hold less.
+        ``guided``: where forces push the probe aside or turn it, motions do so in the linear
+        solution, and their forces in the other one: this mesh may hold a little less by friction.
         """
         by_force, given, pose = self._given(number)
         pushed = by_force
@@ -412,8 +400,7 @@ class BodyStrain(FiniteStrain):
     def _grown(
         self, contact: RubberContact, before: RubberContact.State, share: Floats
     ) -> RubberContact.State:
-        """Return where the steps of a part of the first step begin in the linear solution: its
-        depth and contact by linear theory."""
+        """Return where a part of the first step begins in the linear solution: by its depth."""
         pose = before.pose.copy()
         deep = share[0, Z] ** (2.0 / 3.0) * float(self.axes[0][Z] @ self._path[0].move_mm)
         pose[0, Z] = deep
@@ -452,8 +439,8 @@ def _under_patches(state: ContactState, points: Points) -> Bools:
 
 
 def _rounded(approach: Approach, share: float) -> Approach:
-    """Return a probe at first touch whose face has a rim of this share of its half width, where its
-    own is too sharp."""
+    """Return a probe at first touch whose rim has this share of its half width, where its own is
+    too sharp."""
     probe = approach.probe
     if not isinstance(probe, Cylinder | Pillar):
         return approach
@@ -479,8 +466,8 @@ def _place(state: ContactState) -> tuple[Floats, float]:
 
 
 def _touched(path: Sequence[ContactState], number: int = 0) -> list[tuple[Floats, float]]:
-    """Return middles and radii of a probe's contacts along a path and, as a long slide touches
-    there, too, between the ends of its steps; none much like one before."""
+    """Return middles and radii of a probe's contacts along a path, also between the ends of its
+    steps; none much like one before."""
     near = [_place(_probes(one)[number]) for one in path if one.load.terms]
     found = near[:1]
     for (before, small), (after, size) in pairwise(near):
@@ -494,8 +481,7 @@ def _touched(path: Sequence[ContactState], number: int = 0) -> list[tuple[Floats
 
 
 def _too_slow(press: Press, body: Body) -> str:
-    """Return why a press isn't solved for the error of linear theory alone: it takes more than 3 s;
-    empty if it is."""
+    """Return why a press isn't solved for the error of linear theory alone; empty if it is."""
     if press.friction > 0.0:
         return f"press.friction = {press.friction:g}: such a press takes about 3 s"
     single = not press.also and isinstance(press.probe, Sphere)

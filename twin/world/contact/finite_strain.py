@@ -121,12 +121,12 @@ def at_finite_strain(
     """Return the state of a press, and of every step of its path, with what linear theory leaves
     out.
 
-    Pressures and forces of patches stay those of the linear solution, but for what motions hold a
-    probe with more (`FiniteStrain.more_force_n`); `Load.strained` is the difference. ``judge`` is
-    called with every estimated error; ``solve`` returns the linear solution of another press; the
-    others are those of `SlabStrain`, with what it raises, and `BodyStrain`. A ContactError has the
-    state before the step that fails. States that a ``memory`` has are not solved again, unless a
-    path with friction needs another mesh.
+    Pressures and forces of patches stay linear theory's, but for what motions hold a probe with
+    more (`FiniteStrain.more_force_n`); `Load.strained` is the difference. ``judge`` is called with
+    every estimated error; ``solve`` returns the linear solution of another press; the others, and
+    what is raised, are those of `SlabStrain` and `BodyStrain`. A ContactError has the state before
+    the step that fails. States that a ``memory`` has are not solved again, unless a path with
+    friction needs another mesh.
     """
     approach = Approach.of_press(press, body)
     controls = press.in_own_axes(approach.axes)

@@ -1,8 +1,8 @@
 """What linear theory leaves out of a straight press on a block: large strain, the turning of the
 surface, and contact with the deformed instead of the undeformed surface.
 
-Near the probe a block is a slab as thick, and what linear theory leaves out decays like the third
-power of the distance, so that a slab of revolution is solved, in a few tenths of a second.
+It decays like the third power of the distance, so that a block is solved as a slab of revolution
+as thick, in a few tenths of a second.
 
 **Rubber.** Quadratic displacement (radial, along z) and linear pressure on rectangles; the stress
 is a `twin.world.elasticity.strain_law.StrainLaw`, whose tangent at rest is linear theory.
@@ -12,17 +12,17 @@ along z.
 
     pressure = -k g > 0, or pressure = 0 and g > 0;  the pressures sum to the given force.
 
-In the linear solution g is measured at the undeformed place, as `twin.world.contact.pressing` does,
+In the linear solution g is measured at the undeformed place, as in `twin.world.contact.pressing`,
 in the other one at the deformed place, with forces along the probe's normal. The springs k are a
 film of rubber on the probe, a 3000th of the contact's radius thick, in both. The probe's place is
 an unknown.
 
-**Steps.** Newton's, with an active set of points. Those of the linear solution begin at the
-indentation and the contact of `pressing`, those of the other one at the linear solution.
+**Steps.** Newton's, with an active set of points, begin at the indentation and the contact of
+`pressing`, and for the other solution at the linear one.
 
 **Mesh.** Pressure falls to 0 as a square root where the contact ends, so elements are small there:
-what they leave out then depends little on where in one it ends. Under a cylinder that is the rim; a
-sharp one is solved as one rounded by a fiftieth of the diameter.
+their error then depends little on where in one it ends. Under a cylinder that is the rim; a sharp
+one is solved as one rounded by a fiftieth of the diameter.
 
 Validity: one rigid sphere, cylinder, or cone, pressed straight and without friction on a block, its
 axis five contact radii or more from the sides; nu from 0.45.
@@ -55,8 +55,7 @@ _GAP_WEIGHT = 4.0
 """Pressure per overlap, and what a pressure is weighed against a gap with, times the contact's
 radius over Young's modulus."""
 
-_LEAST_EDGE = 0.02
-_LEAST_OF_THICKNESS = 0.01
+_LEAST_EDGE = 0.02, 0.01
 """Least radius of a cylinder's rim, over its diameter and over the slab's thickness: a sharper one
 is solved with the smaller of both."""
 
@@ -69,8 +68,8 @@ _FROM_SIDES = 5.0
 _ENDS = np.array([0.96, 1.1])
 _REACH = 1.6
 _RIM_REACH = 1.2
-"""Over the contact's radius by linear theory: where it may end at finite strain, and the reach of
-points that may touch; the latter under a cylinder over its radius."""
+"""Over the contact's radius by linear theory: where it may end at finite strain, and how far points
+may touch; the latter under a cylinder over its radius."""
 
 _AT_END = 4
 _ON_RIM = 6
@@ -78,10 +77,9 @@ _RIM_LENGTH = 0.025
 _GROWTH = 1.4
 _LARGEST = 0.08
 _DEEPEST = 0.2
-"""Elements where the contact may end; those along a cylinder's rim, at least, and their largest
-length over its radius; the growth of the others, the largest length inside, over the radius where
-the contact may end, and the largest height over the slab's, as thin rubber shears most where it is
-held."""
+"""Elements where the contact may end; the least along a cylinder's rim, and their largest length
+over its radius; the growth of the others, the largest length inside, over the radius where the
+contact may end, and height over the slab's, as thin rubber shears most where it is held."""
 
 _FITTED = 4
 _BEYOND = 0.05, 0.4
@@ -99,16 +97,16 @@ _LEAST_SHARE = 0.004
 where both may otherwise miss the same 0.05 %; error over the change to the coarser mesh, under
 spheres, under cones, whose tip ends inside an element, and under cylinders whose rim is solved as
 it is or rounder; and what is added, as the change may be small by chance: so much, and a share of
-what linear theory leaves out, for rubber that stiffens. Fitted to presses whose error is known
-(docs/validity.md)."""
+what linear theory leaves out, for rubber that stiffens: docs/validity.md."""
 
 _TOLERANCE = 1e-5
 _STEPS = 20
 """Newton's steps end at one that moves nothing by more than this share of the largest displacement;
-their largest number."""
+their most."""
 
-LOAD_STEPS = 5
-"""Equal steps of the force where Newton's steps fail from the linear solution."""
+LOAD_STEPS = 0.2, 0.04
+"""First step of the force where Newton's steps fail from the linear solution, and the least to
+which it is halved where they fail again, over the force."""
 
 _RESIDUAL = 1e-9
 """Of a linear solution, relative."""
@@ -116,10 +114,8 @@ _RESIDUAL = 1e-9
 _NUDGE_MM = 1e-4
 
 _POINTS = 3
-"""Integration points on an element's side."""
-
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
-"""Gauss's places and weights on an element's side, -1 to 1."""
+"""Integration points on an element's side, -1 to 1."""
 
 
 class FiniteStrain:
@@ -181,8 +177,7 @@ class FiniteStrain:
         self._over_change = over_change
         self._least_error = least_error
         self._pair = self._solved(False)
-        self.moved = self._pair.moved
-        self.wider = self._pair.wider
+        self.moved, self.wider = self._pair.moved, self._pair.wider
 
     @property
     def indentation_mm(self) -> float:
@@ -268,9 +263,8 @@ class SlabStrain(FiniteStrain):
         self._rim = None
         self._material = material
         self._coarse = coarse
-        low, high = np.array(body.bounds_mm)
-        across, along, _ = high - low
-        self._thick_mm = float(high[Z] - low[Z])
+        across, along, thick = np.ptp(body.bounds_mm, axis=0)
+        self._thick_mm = float(thick)
         over_change = _ERROR_OVER_CHANGE
         probe = press.probe
         self._finer = 1.0
@@ -316,7 +310,7 @@ class SlabStrain(FiniteStrain):
         return not np.any(state.turns_deg) and away >= _FROM_SIDES * state.contact_radius_mm
 
     def _least_edge_mm(self, probe: Cylinder) -> float:
-        return min(_LEAST_EDGE * probe.diameter_mm, _LEAST_OF_THICKNESS * self._thick_mm)
+        return float(np.min(np.multiply(_LEAST_EDGE, (probe.diameter_mm, self._thick_mm))))
 
     def _solved(self, coarser: bool) -> FiniteStrain.Solutions:
         """Return both solutions on a slab."""
@@ -328,8 +322,7 @@ class SlabStrain(FiniteStrain):
         approach = self._approach
         if self._rim is None:
             low, high = _ENDS * size
-            reach = _REACH * size
-            count = _AT_END
+            reach, count = _REACH * size, _AT_END
         else:
             # The coarser solution's sharp rim is twice as round: it shows what the rounding costs.
             edge = self._rim.edge_mm
@@ -338,8 +331,7 @@ class SlabStrain(FiniteStrain):
                 edge = 2.0 * least if coarser else least
                 approach = approach.with_edge(edge)
             high = self._rim.diameter_mm / 2.0
-            low = high - edge
-            reach = _RIM_REACH * high
+            low, reach = high - edge, _RIM_REACH * high
             count = max(_ON_RIM, math.ceil(edge / (_RIM_LENGTH * high)))
         grid = Slab.Grid.graded((low, high), count, reach, share, radius_mm, self._thick_mm)
         slab = Slab(grid, self._material)
@@ -363,21 +355,31 @@ class SlabStrain(FiniteStrain):
         )
 
     def _finite(self, slab: Slab, touch: _Touch, linear: _Balance, force: float) -> _Balance:
-        """Return the finite-strain solution: from the linear one at once, else in load steps."""
+        """Return the finite-strain solution: from the linear one at once, else in load steps from
+        that of the first one's force."""
         try:
             return self.settled(slab, touch, linear, force, linear=False)
         except NotSettled:
             if self._coarse:
                 raise
-        first = 1.0 / LOAD_STEPS
-        state = replace(
+        step, least = LOAD_STEPS
+        start = replace(
             linear,
-            unknowns=first * linear.unknowns,
-            place=first * linear.place,
-            pressure=first * linear.pressure,
+            unknowns=step * linear.unknowns,
+            place=step * linear.place,
+            pressure=step * linear.pressure,
         )
-        for part in np.linspace(first, 1.0, LOAD_STEPS):
-            state = self.settled(slab, touch, state, part * force, linear=False)
+        state = self.settled(slab, touch, start, step * force, linear=True)
+        done = 0.0
+        while done < 1.0:
+            load = min(done + step, 1.0)
+            try:
+                state = self.settled(slab, touch, state, load * force, linear=False)
+                done = load
+            except NotSettled:
+                step /= 2.0
+                if step < least:
+                    raise
         return state
 
     def settled(
@@ -441,13 +443,11 @@ class Slab(MixedRubber):
         ) -> Slab.Grid:
             """Return a grid with ``count`` elements at the surface between two radii, its finest.
 
-            Elements up to ``reach_mm`` may touch the probe; ``share`` is the relative number of
-            all.
+            Elements up to ``reach_mm`` may touch the probe; ``share`` multiplies their numbers.
             """
             low, high = finest_mm
-            width = high - low
             count = round(share * count)
-            first = width / count
+            first = (high - low) / count
             growth = 1.0 + (_GROWTH - 1.0) / share
             inner = low - _growing(first, growth, low, _LARGEST * high / share)[::-1]
             between = low + first * np.arange(1, count + 1)
@@ -465,22 +465,20 @@ class Slab(MixedRubber):
         def read(self, points: Floats) -> tuple[Ints, Floats, Floats]:
             """Return the nodes (n, 9) of the elements at points (n, 2), their shapes (n, 9), and
             the slopes of these (n, 9, 2)."""
-            node = []
-            value = []
-            slope = []
+            parts = []
             for line, place in zip((self.r_mm, self.z_mm), points.T, strict=True):
                 cell = np.clip(np.searchsorted(line, place, side="right") - 1, 0, len(line) - 2)
                 half = (line[cell + 1] - line[cell]) / 2.0
-                own = _shapes((place - line[cell]) / half - 1.0)
-                node.append(2 * cell[:, None] + np.arange(3))
-                value.append(own[0])
-                slope.append(own[1] / half[:, None])
-            across = self.shape[1]
-            nodes = (node[0][:, :, None] * across + node[1][:, None, :]).reshape(-1, 9)
-            values = (value[0][:, :, None] * value[1][:, None, :]).reshape(-1, 9)
-            along_r = (slope[0][:, :, None] * value[1][:, None, :]).reshape(-1, 9)
-            along_z = (value[0][:, :, None] * slope[1][:, None, :]).reshape(-1, 9)
-            return nodes, values, np.stack([along_r, along_z], axis=2)
+                value, slope, _ = _shapes((place - line[cell]) / half - 1.0)
+                parts.append((2 * cell[:, None] + np.arange(3), value, slope / half[:, None]))
+            (along_r, at_r, slope_r), (along_z, at_z, slope_z) = parts
+
+            def crossed(r: Floats, z: Floats) -> Floats:
+                return (r[:, :, None] * z[:, None, :]).reshape(-1, 9)
+
+            nodes = self.shape[1] * along_r[:, :, None] + along_z[:, None, :]
+            slopes = np.stack([crossed(slope_r, at_z), crossed(at_r, slope_z)], axis=2)
+            return nodes.reshape(-1, 9), crossed(at_r, at_z), slopes
 
         def read_about(self, axis: Floats, points: Points, field: Floats) -> tuple[Points, Floats]:
             """Return the values (n, 3) and gradients (n, 3, 3) of a field (N, 2) at points (n, 3).

@@ -8,22 +8,21 @@
     pressure = -k g > 0, or pressure = 0 and g > 0;  the forces along each probe's way sum to the
     given one.
 
-In the linear solution g is measured at the undeformed place along the surface's normal, where the
-force acts, too, as `twin.world.contact.pressing` does. In the other one it is measured at the
-deformed place, along the probe's way, with forces along the probe's normal. The springs k are a
-film of rubber on the probe, a hundredth of the contact's radius thick, in both: stiffer ones make
-the pressures of neighbouring points alternate. The probes' places are unknowns.
+In the linear solution g and forces are along the surface's normal at the undeformed place, as in
+`twin.world.contact.pressing`. In the other one g is measured at the deformed place, along the
+probe's way, with forces along the probe's normal. The springs k are a film of rubber on the probe,
+a hundredth of the contact's radius thick, in both: stiffer ones make the pressures of neighbouring
+points alternate. The probes' places are unknowns.
 
-**Friction.** A point that has touched is held by a spring as stiff to its place on the probe, in
-the plane of the probe's surface, up to the bound of the law of friction; what it slips beyond, its
-place on the probe follows at the end of a part of a step. In the linear solution its gap is that of
-a point that moves with the probe, too; what all points slip in common is a slide of the probe, and
-gaps are taken where it slid to, as in `twin.world.contact.contact_problem`.
+**Friction.** A spring as stiff holds a point that has touched to its place on the probe, in the
+plane of the probe's surface, up to the bound of the law of friction; at the end of a part of a step
+that place follows what it slips. In the linear solution its gap is that of a point that moves with
+the probe, and what all points slip in common is a slide of the probe, as in
+`twin.world.contact.contact_problem`.
 
-**Steps.** `RubberContact.settled` takes Newton's. In each the rubber is condensed to the nodes that
-may touch: the Schur complement of its tangent. There contact is balanced, by an active set of
-points. The tangent is that of an earlier state, as long as steps shrink fast enough with it; that
-of linear theory never changes.
+**Steps.** In each of Newton's the rubber is condensed to the nodes that may touch, by the Schur
+complement of its tangent, and contact is balanced there by an active set of points. An earlier
+state's tangent stays while steps shrink fast enough; that of linear theory never changes.
 """
 
 from __future__ import annotations
@@ -71,17 +70,12 @@ _NUDGE_MM = 1e-4
 _BESIDE_FACE = 0.1
 """Points so far outside a flat face's outline, over its smaller half width, may come under it."""
 
-_ALL_SLIP = 0.8
-"""A probe slides as a whole where points that slip carry more than this share of the force."""
+_ALL_SLIP, _ANCHORED = 0.8, 0.98
+"""A probe slides as a whole where points that slip carry more than this share of the force, looked
+for from this share of the force on anchored points."""
 
-_ANCHORED = 0.98
-"""Share of the force on anchored points from which a slide as a whole is looked for."""
-
-_SLIDES = 16
-"""How often such a slide is corrected."""
-
-_SLID_MM, _SLID_MOST_MM = 1e-4, 2e-3
-"""How well it is known then, and how well at least."""
+_SLIDES, _SLID_MM, _SLID_MOST_MM = 16, 1e-4, 2e-3
+"""How often such a slide is corrected, how well it is known then, and how well at least."""
 
 _STEEPEST = 0.05
 """A probe's surface whose normal has a smaller part along its way doesn't touch."""
@@ -89,20 +83,18 @@ _STEEPEST = 0.05
 _SLOW = 0.3
 """Newton's steps that shrink by less than to this share need the tangent at the present state."""
 
-_MOST_BALANCES = 100
-_BALANCED = 1e-6
-_FULL_STEPS = 15
+_MOST_BALANCES, _BALANCED, _FULL_STEPS = 100, 1e-6, 15
 """Most iterations of a balance of contact, the relative step at which they end, and after how many
 steps are shortened."""
 
 _STRAINED = 0.03
-"""Elements with no larger change of F, or pressure over the shear modulus, resist as at rest as far
-as the slopes of Newton's steps go."""
+"""Elements with no larger change of F, or pressure over the shear modulus, have the tangent of
+rest."""
 
 LAST_STEP = 3e-3
 PART_STEP = 1.5e-2
 """Newton's steps end at one that moves nothing by more than this share of the largest displacement
-(what is left then is below a thousandth); within a part of a path with friction, than this."""
+(a thousandth is left then); within a path's step, by more than the other."""
 
 MOST_STEPS = 12
 _LET_GO = 5
@@ -140,7 +132,7 @@ class Rubber(MixedRubber):
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
 
     def stiffness(self, unknowns: Floats, last: Ints) -> Factor:
-        """Return the tangent's factor, free unknowns only, with the `Factor.schur` of some."""
+        """Return the factor of the free unknowns' tangent, with the `Factor.schur` of some."""
         free = self._free
         tangent = self.tangent(unknowns).tocsr()[free][:, free]
         scale, node = self._scale[free], self._node[free]
@@ -178,8 +170,7 @@ class Rubber(MixedRubber):
 
     @cached_property
     def _pattern(self) -> tuple[Any, Ints]:
-        """The sparse matrix of the sum of the elements' blocks, and where (m, 34, 34) their entries
-        are in it."""
+        """The sum of the elements' blocks, and where (m, 34, 34) their entries are in it."""
         whole = MixedRubber.summed(np.ones((len(self._row), 34, 34)), self._row, self.size)
         whole.sort_indices()
         keys = np.repeat(np.arange(self.size), np.diff(whole.indptr)) * self.size + whole.indices
@@ -199,8 +190,7 @@ class Rubber(MixedRubber):
         return blocks, self._added(blocks, every)
 
     def tangent(self, unknowns: Floats) -> Any:
-        """Return the sparse symmetric slope of `resistance`; that at rest where the strain is
-        small."""
+        """See `MixedRubber.tangent`; that at rest where the strain is small."""
         gradient, _, _, pressure = self._strained(unknowns, np.arange(len(self._row)))
         change = np.abs(gradient - np.eye(3)).max(axis=(1, 2, 3))
         change = np.maximum(change, np.abs(pressure).max(axis=1) / self._shear)
@@ -316,8 +306,8 @@ class SurfaceTouch:
         return np.asarray(np.einsum("qa,qai->qi", self.weights, displacement[self.nodes]))
 
     def place(self, displacement: Floats, pose: Floats, *, linear: bool) -> Floats:
-        """Return where the points (q, 3) are in the probe's own axes, mm; in the linear solution,
-        their displacement over the probe's."""
+        """Return where the points (q, 3) are in the probe's own axes, mm; in the linear solution
+        how much farther than it they moved."""
         shift = self._shift(displacement)
         if linear:
             return np.asarray(shift - self._carry @ pose)
@@ -331,10 +321,8 @@ class SurfaceTouch:
         return np.asarray(ways @ self.axes.T @ Approach.rotation_of(pose[ABOUT_X:]))
 
     def rest_gap(self, pose: Floats, slid_mm: Floats | None = None) -> tuple[Floats, Floats]:
-        """Return the undeformed surface's gaps (q,) in the linear solution, and slopes (q, 6).
-
-        With friction the surface near a probe moves sideways with it.
-        """
+        """Return the undeformed surface's gaps (q,) in the linear solution, and slopes (q, 6); with
+        friction it moves sideways with the probe."""
         if not self._rubs:
             return self._approach.gap(self.rest_mm, self.inward, pose)
         lowered = np.where(np.arange(MOTIONS) == Z, pose, 0.0)
@@ -345,8 +333,8 @@ class SurfaceTouch:
         return gap - self._along @ (pose - lowered), slope
 
     def anchored_gap(self, pose: Floats, slid_mm: Floats) -> tuple[Floats, Floats]:
-        """Return the gaps (q,) at place 0 of points that touch at a place and move with the probe,
-        and those of the probe's shape at first touch where it slid to."""
+        """Return the gaps (q,) at place 0 of points that touch at a place and then move with the
+        probe, and those of the probe's shape at first touch where it slid to."""
         gap = self.rest_gap(pose, slid_mm)[0] + self._along @ pose
         return gap, self.rest_gap(np.zeros(MOTIONS), slid_mm)[0]
 
@@ -359,8 +347,8 @@ class SurfaceTouch:
         *,
         linear: bool,
     ) -> _Met:
-        """Return how the points meet the probe at a place (6,), by default without anchors; in the
-        linear solution it slid as a whole."""
+        """Return how the points meet the probe at a place (6,); ``slid_mm`` is of the linear
+        solution."""
         slid_mm = np.zeros(Z) if slid_mm is None else slid_mm
         anchors = _Anchors.none(len(self.rest_mm)) if anchors is None else anchors
         shift = self._shift(displacement)
@@ -369,9 +357,8 @@ class SurfaceTouch:
         if linear:
             gap, slope = self.rest_gap(pose, slid_mm)
             now = self.rest_gap(np.zeros(MOTIONS), slid_mm)[0]
-            since = np.where(
-                np.isfinite(anchors.shape), now - np.nan_to_num(anchors.shape, posinf=0.0), 0.0
-            )
+            known = np.isfinite(anchors.shape)
+            since = np.where(known, now - np.where(known, anchors.shape, 0.0), 0.0)
             gap = np.where(anchors.on, anchors.closed + since - self._along @ pose, gap)
             slope = np.where(anchors.on[:, None], -self._along, slope)
             return _Met(
@@ -421,8 +408,7 @@ class SurfaceTouch:
         """Return the radius of the contact, at rest or after a displacement, mm; of a flat face the
         root mean square distance of the pressure from its middle.
 
-        Under Hertz's pressure the force beyond r is as (a^2 - r^2)^1.5: its power 2/3 is
-        extrapolated over r^2.
+        Under Hertz's pressure the force beyond r is as (a^2 - r^2)^1.5.
         """
         place = self.rest_mm if displacement is None else self.rest_mm + self._shift(displacement)
         force = pressure * self.area_mm2 / (pressure @ self.area_mm2)
@@ -438,9 +424,9 @@ class SurfaceTouch:
 
 
 class RubberContact:
-    """Rubber and the points of its surface that each of the probes (p,) may touch; they have one
-    coefficient of friction, and the rubber's true modulus matters for its law alone. ``size_mm`` is
-    the contact's radius, which the springs depend on."""
+    """Rubber and the points of its surface that each of the probes (p,) may touch, with one
+    coefficient of friction, for whose law alone the rubber's modulus matters. ``size_mm`` is the
+    contact's radius, which the springs depend on."""
 
     @dataclass(frozen=True)
     class State:
@@ -545,6 +531,8 @@ class RubberContact:
         try:
             free = self.settled(guess, held, wanted, PART_STEP, linear=linear)
         except NotSettled:  # friction of what touched before doesn't hold the probe alone
+            if np.array_equal(held, pushed):
+                raise
             free = self.settled(guess, *upright, PART_STEP, linear=linear)
         start = self._anchored(before, free, linear=linear)
         # The friction of the first few points doesn't hold it either.
@@ -583,10 +571,9 @@ class RubberContact:
         )
 
     def _slid(self, before: RubberContact.State, after: RubberContact.State) -> Floats:
-        """Return (p, 2) how far a linear solution's probes slid as a whole so far, counted as by
-        `twin.world.contact.contact_problem.FrictionalContact.slid` from the rubber that they carry
-        along; not further in a part of a step where points stick that touched before, but for a few
-        that carry little."""
+        """Return (p, 2) how far a linear solution's probes slid as a whole so far, as does
+        `twin.world.contact.contact_problem.FrictionalContact.slid`, from the rubber that they carry
+        along; no further where points stick that touched before and carry more than a little."""
         slid = before.slid_mm.copy()
         moved = self.rubber.displacement(after.unknowns)
         for number, (touch, rows) in enumerate(zip(self.touches, self.rows, strict=True)):
@@ -643,8 +630,8 @@ class RubberContact:
         *,
         linear: bool,
     ) -> tuple[RubberContact.State, Floats]:
-        """Return the state in which contact balances a stiffness (m, m) of the contact's nodes,
-        and the forces on these; ``loose`` is where they are without contact."""
+        """Return the state in which contact balances the stiffness (m, m) of its nodes, and the
+        forces on these; ``loose`` is where they are without contact."""
         count = len(loose)
         moved = self.rubber.displacement(state.unknowns).ravel()[self._nodal]
         here = np.concatenate([moved, state.pose.ravel()])
@@ -659,9 +646,10 @@ class RubberContact:
             out[body] += schur @ (here[body] - loose[body])
             out[count:] -= np.where(by_force, given, 0.0).ravel()
             matrix[np.ix_(body, body)] += schur
-            # Where slip swings, friction keeps the resistance of its springs' secant for a step.
+            # Where slip swings, friction keeps the resistance of its springs' secant, which settles
+            # slowly: once points neither come nor go, any decrease ends it.
             size = float(np.linalg.norm(out[free]))
-            trust = min(1.0, trust + 0.5) if size < 0.7 * last else 0.0
+            trust = min(1.0, trust + 0.5) if size < (1.0 if settled else 0.7) * last else 0.0
             last = size
             matrix -= trust * lacks
             step = np.zeros(len(here))
@@ -687,19 +675,15 @@ class RubberContact:
         self, moved: Points, pose: Floats, state: RubberContact.State, *, linear: bool
     ) -> _Met:
         """Return how the points of all probes meet these."""
+        probes = zip(self.touches, pose, self.rows, state.slid_mm, strict=True)
         parts = [
-            touch.meet(moved, one, state.anchors.of(rows), slid, linear=linear)
-            for touch, one, rows, slid in zip(
-                self.touches, pose, self.rows, state.slid_mm, strict=True
-            )
+            vars(touch.meet(moved, one, state.anchors.of(rows), slid, linear=linear))
+            for touch, one, rows, slid in probes
         ]
-        return _Met(
-            **{name: np.concatenate([vars(one)[name] for one in parts]) for name in vars(parts[0])}
-        )
+        return _Met(**{name: np.concatenate([one[name] for one in parts]) for name in parts[0]})
 
     def _rub(self, met: _Met, anchors: _Anchors) -> _Rub:
-        """Return the friction on anchored points: that of springs in the plane of the probe's
-        surface, up to Coulomb's bound."""
+        """Return the friction on anchored points."""
         plane = np.eye(3) - met.normal[:, :, None] * met.normal[:, None, :]
         stiff = np.where(anchors.on, self._spring, 0.0)
         held = -stiff[:, None] * np.einsum("qij,qj->qi", plane, met.away)
@@ -711,9 +695,7 @@ class RubberContact:
         # The law is one of forces in N.
         steep = np.linalg.norm(met.push, axis=1)
         scale = self._modulus_mpa * self._area
-        pressed = (
-            np.where(np.isfinite(met.gap), self._spring * np.maximum(-met.gap, 0.0), 0.0) * steep
-        )
+        pressed = self._spring * np.maximum(-met.gap, 0.0) * steep
         friction = np.full(len(size), self._friction)
         bound = LAW.bound(friction, scale * pressed, self._area) / scale
         steep = steep * LAW.slope(friction, scale * pressed, self._area)
@@ -732,8 +714,8 @@ class RubberContact:
     def _springs(
         self, state: RubberContact.State, here: Floats, *, linear: bool
     ) -> tuple[Floats, Floats, Floats, Callable[[Floats], RubberContact.State]]:
-        """Return what the springs between the contact's nodes and the probes
-        take from either, its slope, and the state after a step."""
+        """Return what the springs take from the contact's nodes and the probes, its slope, what
+        this lacks where points slip, and the state after a step."""
         # Which points touch?
         count = len(self._nodal)
         moved = self.rubber.displacement(state.unknowns).copy()
@@ -766,7 +748,10 @@ class RubberContact:
         out = (self._spring * area * met.gap[on])[:, None] * carried
         out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed)
         size = len(here)
-        matrix = MixedRubber.gathered(size * row[:, :, None] + row[:, None, :], block, size * size)
+        place = size * row[:, :, None] + row[:, None, :]
+
+        def matrix(blocks: Floats) -> Floats:
+            return MixedRubber.gathered(place, blocks, size * size).reshape(size, size)
 
         def after(step: Floats) -> RubberContact.State:
             pressure = np.zeros(len(active))
@@ -781,26 +766,15 @@ class RubberContact:
             slips = rub.slips & active
             return replace(state, pressure=pressure, active=active, slips=slips, force=total)
 
-        lacks = np.zeros((size, size))
-        if rub.slips[on].any():
-            along = np.einsum("qkr,qk->qr", across, rub.along[on])
-            block = area[:, None, None] * along[:, :, None] * along[:, None, :]
-            lacks = MixedRubber.gathered(
-                size * row[:, :, None] + row[:, None, :], block, size * size
-            )
-        return (
-            MixedRubber.gathered(row, out, size),
-            matrix.reshape(size, size),
-            lacks.reshape(size, size),
-            after,
-        )
+        along = np.einsum("qkr,qk->qr", across, rub.along[on])
+        lacks = area[:, None, None] * along[:, :, None] * along[:, None, :]
+        return MixedRubber.gathered(row, out, size), matrix(block), matrix(lacks), after
 
     def _anchored(
         self, before: RubberContact.State, free: RubberContact.State, *, linear: bool
     ) -> RubberContact.State:
-        """Return the state ``before`` a part of a step with anchors for the points that touch
-        within it; ``free`` is its end if these slide freely. Anchors of points that lift off are
-        given up.
+        """Return ``free``, the end of a part of a step if points that touch within it slide freely,
+        with anchors where they did touch, and none where points lift off.
 
         A point slides until the probe has come as near as it was away, which under a smooth probe
         goes as the power 2/3 of its gap (1/2 from rest).
@@ -818,10 +792,9 @@ class RubberContact:
             anchors = before.anchors.of(rows)
             met = touch.meet(first, before.pose[number], anchors, slid, linear=linear)
             gap = np.maximum(met.gap, 0.0)
-            finite = new & np.isfinite(gap)
-            most = max(float(gap[finite].max(initial=0.0)), 1e-300)
+            most = max(float(gap[new & np.isfinite(gap)].max(initial=0.0)), 1e-300)
             power = 2.0 / 3.0 if before.pressure[rows].any() else 0.5
-            way = np.where(finite, np.where(finite, gap, 0.0) / most, 1.0) ** power
+            way = np.minimum(gap / most, 1.0) ** power
             way[gap < 1e-9] = 0.0
             start = touch.place(first, before.pose[number], linear=linear)
             end = touch.place(last, free.pose[number], linear=linear)
