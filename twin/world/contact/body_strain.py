@@ -223,7 +223,7 @@ class BodyStrain(FiniteStrain):
         if more[TURN]:
             torque = max(abs(one.torque_nmm) for one in self._path[: self._number + 1])
             share = max(share, abs(more[TURN]) * self._material.youngs_modulus_mpa / torque)
-        return share
+        return float(share)
 
     def more_force_n(self, patches: Rectangles) -> Floats:
         if not self._rubs:
