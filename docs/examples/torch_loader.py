@@ -22,7 +22,10 @@ import twin
 def loader(
     folder: str, labels: Sequence[str] = ("force_n",), split: str | None = None, batch_size: int = 32, workers: int = 2
 ) -> DataLoader:
-    """Return a loader of {"picture": (b, 3, h, w) in 0..1, and every label: (b, ...)}.
+    """Return a loader of {"picture", "rest": (b, 3, h, w) in 0..1, and every label: (b, ...)}.
+
+    ``rest`` is the picture of the same made sensor without load. Feed a network the difference: markers move by some
+    pixels at most, and where they rest differs from sensor to sensor.
 
     ``split`` is "train" or "test": by the column ``split`` of a dataset of sequences, else every fifth made sensor,
     from the second on, is for tests, since samples of one sensor share its errors.
@@ -34,15 +37,18 @@ def loader(
         raise SystemExit(
             f"{folder}: no sample of split {split}: it takes two made sensors, or sequences; make more samples"
         )
-    data = Subset(twin.open_dataset(folder, ["picture", *labels]), good)
+    data = twin.open_dataset(folder, ["picture", "sensor", *labels])
+
+    def scaled(pictures: list[np.ndarray]) -> torch.Tensor:
+        stacked = np.stack(pictures).transpose(0, 3, 1, 2)
+        return torch.from_numpy(stacked).float() / np.iinfo(stacked.dtype).max
 
     def batch(samples: list[dict[str, np.ndarray]]) -> dict[str, torch.Tensor]:
-        pictures = np.stack([s["picture"] for s in samples]).transpose(0, 3, 1, 2)
         made = {name: torch.from_numpy(np.array([s[name] for s in samples])).float() for name in labels}
-        most = np.iinfo(pictures.dtype).max
-        return {"picture": torch.from_numpy(pictures).float() / most, **made}
+        rest = [data.sensor(s["sensor"])["picture"] for s in samples]
+        return {"picture": scaled([s["picture"] for s in samples]), "rest": scaled(rest), **made}
 
-    return DataLoader(data, batch_size=batch_size, shuffle=True, num_workers=workers, collate_fn=batch)
+    return DataLoader(Subset(data, good), batch_size=batch_size, shuffle=True, num_workers=workers, collate_fn=batch)
 
 
 def _split(row: dict[str, object]) -> object:

@@ -98,6 +98,9 @@ class Rows(list[dict[str, Any]]):
     def columns(self) -> list[str]:
         return list(self[0])
 
+    def sensor(self, number: int) -> dict[str, Any]:
+        return {"picture": np.full((4, 5, 3), 2 * number, np.uint8)}
+
 
 @pytest.mark.usefixtures("torch")
 def test_torch_loads_pictures_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,11 +110,12 @@ def test_torch_loads_pictures_in_batches(monkeypatch: pytest.MonkeyPatch) -> Non
             "picture": np.full((4, 5, 3), 51 * n, np.uint8),
             "force_n": np.full(3, float(n)),
             "slip_share": n / 6,
+            "sensor": n,
             "split": "test" if n == 5 else "train",
         }
         for n in range(6)
     ]
-    rows[2] = {"status": "failed", "picture": None, "force_n": None, "slip_share": None, "split": "train"}
+    rows[2] = {"status": "failed", "picture": None, "force_n": None, "slip_share": None, "sensor": 2, "split": "train"}
     torch_loader = example("torch_loader")
     opened = Rows(rows)
     monkeypatch.setattr(torch_loader.twin, "open_dataset", lambda *_: opened, raising=False)
@@ -123,9 +127,9 @@ def test_torch_loads_pictures_in_batches(monkeypatch: pytest.MonkeyPatch) -> Non
     assert sorted(forces[:, 0].tolist()) == [0, 1, 3, 4, 5]
     for batch in batches:
         np.testing.assert_allclose(np.asarray(batch["picture"])[:, 0, 0, 0] * 5, np.asarray(batch["force_n"])[:, 0])
-    for number, row in enumerate(rows):
+        np.testing.assert_allclose(batch["rest"] * 51, 2 * np.asarray(batch["picture"]))
+    for row in rows:
         del row["split"]
-        row["sensor"] = number
     (test,) = torch_loader.loader("anywhere", ["force_n"], "test", workers=0)
     train = list(torch_loader.loader("anywhere", ["force_n"], "train", batch_size=1, workers=0))
     assert np.asarray(test["force_n"])[:, 0].tolist() == [1.0]
