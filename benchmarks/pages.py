@@ -848,7 +848,7 @@ def _draw_chain() -> None:
         pitch, largest = load_scene(name).reconstruction.sites.pitch_mm, np.hypot(fx, fy).max()
         scale = largest / (1.5 * pitch)
         row[2].quiver(x, y, fx, fy, angles="xy", scale_units="xy", scale=scale, width=0.004)
-        found = f"forces it reports (N): push to {fz.max():.2g} orange, side to {largest:.2g} arrows"
+        found = f"forces: push to {fz.max():.2g}, side to {largest:.2g} N"
         row[2].set(aspect="equal", title=found)
         for panel in row:
             panel.set_xticks([])
