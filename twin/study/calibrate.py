@@ -193,7 +193,6 @@ def _read_back(
     fields = [reconstruct(one, made, **options) for one in found]
     stated = np.array([field.sd_total_n for field in fields])
     totals = np.array([field.total_force_n for field in fields]) - force_n
-    sums = np.array([field.force_n.sum(axis=0) for field in fields]) - force_n
     allowed = np.hypot(stated, scene.calibration.load_cell_n)
 
     def rms(values: Floats) -> Floats:
@@ -205,6 +204,7 @@ def _read_back(
 
     lines = [line("total force of these presses off by", totals), line("stated", stated)]
     if options["push_only"] or options["friction"] is not None:
+        sums = np.array([field.force_n.sum(axis=0) for field in fields]) - force_n
         lines.append(line("sites' sum, of sites that only push or obey friction, off by", sums))
     if (rms(totals / allowed) > UNSTATED).any():
         lines.append(
