@@ -58,8 +58,7 @@ def test_an_empty_cell_and_an_unknown_place_show_nothing() -> None:
 @pytest.mark.parametrize("others", [0, 1, 2])
 @pytest.mark.parametrize("radius", [2.3, 7.86, 8.0, 17.2])
 def test_pixels_row_by_row_are_those_one_by_one(radius, others):
-    random = np.random.default_rng(3)
-    image = random.integers(0, 256, (60, 70, 3), dtype=np.uint8)
+    image = np.random.default_rng(3).integers(0, 256, (60, 70, 3), dtype=np.uint8)
     limits = np.array([[0.5, 0.25, 0.0, 100.0], [0.0, -1.0, 1.0, 30.0]], np.float32)[:others]
     offset, runs, _ = disc(int(radius**2))
     plain, fast = np.zeros((2, 2, offset.shape[1] + LANES), np.float32)

@@ -68,8 +68,7 @@ CAMERAS = {"jpeg": jpeg, "mosaic": mosaic, "both": lambda image: jpeg(mosaic(ima
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_stated_variance_of_compressed_and_mosaic_pictures(camera, diameter):
     """Errors that hang together over pixels: the stated deviation was 5 to 9 times too small."""
-    layout, size = wide(diameter)
-    random = np.random.default_rng(3)
+    (layout, size), random = wide(diameter), np.random.default_rng(3)
     rest = analyse_rest(CAMERAS[camera](picture(0.0, 0, layout, size, diameter)), layout)
     scores = []
     for draw in range(3):
@@ -86,8 +85,7 @@ def test_small_compressed_dots_state_a_true_deviation(diameter, largest):
     card, scores = Card(diameter), []
     for seed in range(10, 13):
         rest, shift = analyse_rest(jpeg(expose(card.draw(), 100 * seed + 1)), card.layout), card.shifts(10 + seed)
-        picture = jpeg(expose(card.draw(shift), 20 + seed))
-        found = track_frame(rest, picture, np.zeros_like(shift))
+        found = track_frame(rest, jpeg(expose(card.draw(shift), 20 + seed)), np.zeros_like(shift))
         scores.append(((found.shift_px - shift) / found.sd_px[:, None])[card.count :])
     assert np.sqrt(np.nanmean(np.square(scores))) < largest
 

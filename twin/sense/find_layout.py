@@ -2,9 +2,9 @@
 
 Dots are what differs from the ground around them. Their colours, at most two, give a signal a
 layer. In every signal spots are sought at a series of widths, and a lattice is grown through them:
-from one spot and its neighbours outwards, each next site being predicted by an affine map of the
-sites around it. So the lattice may turn, lean, and bend as a wide-angle lens bends it. The width
-whose lattice holds the most spots wins. What stays off the lattice is dirt, or a reason to refuse.
+from one spot outwards, each site predicted by an affine map of those around it, so that it may
+turn, lean, and bend as under a wide-angle lens. The width whose lattice holds the most spots wins.
+What stays off the lattice is dirt, or a reason to refuse.
 
 Validity: dots at least 4 px wide that cover less than about a third of the ground, at least 3 x 3
 of them, with fewer than half of a layer missing; a pitch that changes by less than about a fifth
@@ -467,9 +467,6 @@ def _predict(
     local = whole[:2] + slope
     pitch = np.linalg.norm(local, axis=2).min(axis=1)
     return place, np.maximum(pitch, 1e-6), np.linalg.norm(middle, axis=1)
-
-
-# what is told of it
 
 
 def _explained(away: Singles, noise: float, layers: list[_Layer]) -> float:

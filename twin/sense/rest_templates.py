@@ -6,11 +6,11 @@ as it hangs together over the ground around the markers.
 
 **Projection.** A layer's projection removes the other layers' colours and otherwise has the least
 noise: for pure dyes it is the one channel that shows the marker. The paper's difference of red and
-blue has the noise of two channels. It is used to find spots, not to measure centres.
+blue has the noise of two, and only finds spots.
 
-**Slope of brightness.** A marker is brighter on one side for two reasons. The light falls off over
-the picture: that slope is a quadratic of the place, and another one where the marker has moved to.
-And a marker may be uneven by itself: that slope moves with it, and is used where it is large.
+**Slope of brightness.** The light falls off over the picture: that slope is a quadratic of the
+place, and another one where a marker has moved to. A marker may also be uneven: that slope moves
+with it, and is used where it is large.
 """
 
 from __future__ import annotations
@@ -375,10 +375,9 @@ def in_other_light(
     changed over the picture since rest; None where no more than by chance.
 
     Other light shows twice: the markers' levels have changed smoothly over the picture, and the
-    brightness across each marker has the same slope. Both are needed, as slopes alone are
-    feigned where all markers lie alike on the pixels. ``fitted``
-    (n, `COLUMNS`) are the fits without; ``evenly`` (n, 3) a constant and two slopes over the
-    picture, orthonormal over the markers.
+    brightness across each has the same slope. Slopes alone are feigned where all markers lie alike
+    on the pixels. ``fitted`` (n, `COLUMNS`) are the fits without; ``evenly`` (n, 3) a constant and
+    two slopes over the picture, orthonormal over the markers.
     """
     size, rest = picture.shape[:2], templates.rest
     # The sums of the changed slopes, outliers bounded, times a constant and two slopes.
@@ -561,9 +560,9 @@ class BareGround:
 
     The ground's texture, and noise of whole rows, move a fitted centre by a sum of pixels times the
     edge's slopes, over that of the slopes squared. So that sum is taken where no marker lies, at
-    rest and later: how it has changed is the error, however the noise hangs together, and whether
-    the texture has moved with the markers or stayed. A marker hides the ground behind it, but not
-    the camera's noise: that changes both where a marker moved from and where it moved to.
+    rest and later: its change is the error, whatever the noise, and whether the texture has moved
+    or stayed. A marker hides the ground behind it, but not the camera's noise: that changes both
+    where a marker moved from and where it moved to.
 
     Attributes
     ----------
