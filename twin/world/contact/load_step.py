@@ -555,18 +555,11 @@ def _parts(
 
 def _changed(history: ContactHistory, force_n: Floats) -> float:
     """Return the share by which the forces on the patches (k, 3) N change."""
-    before, after, apart = (
+    apart, before, after = (
         float(np.linalg.norm(force, axis=1).sum())
-        for force in (history.force_n, force_n, force_n - history.force_n)
+        for force in (force_n - history.force_n, history.force_n, force_n)
     )
     return apart / max(before, after, 1e-300)
-
-
-def _turned(history: ContactHistory, found: Equilibrium) -> float:
-    """Return the share of the patches that touch, stick or slip otherwise than before."""
-    slips = found.slipping & found.active
-    turned = (found.active != history.touched) | (slips != history.slipping)
-    return float(turned.sum()) / float((found.active | history.touched).sum())
 
 
 def _slide_parts(
@@ -648,8 +641,11 @@ def load_step(
                 changed |= (there.active != history.touched) | bool(control.by_force.any())
             if not changed.any():
                 return with_trend(_remember(grid, history, there, control.time_s)), there, ""
-            most = max(_turned(history, there), _changed(history, there.force_n))
-            increments = _parts(grid, history, control, increments, most)
+            slips = there.slipping & there.active
+            turned = (there.active != history.touched) | (slips != history.slipping)
+            share = float(turned.sum()) / float((there.active | history.touched).sum())
+            share = max(share, _changed(history, there.force_n))
+            increments = _parts(grid, history, control, increments, share)
             before = _Guess.at(history)
             guess = before.on_line(_Guess.of(there), 1.0 / increments)
     way = np.where(control.by_force, 0.0, control.given - start)
@@ -665,11 +661,11 @@ def load_step(
         powers[:] = powers.max()  # all that is given changes linearly in time
     found = None
     for part in range(1, increments + 1):
-        share = (part / increments) ** powers
+        shares = (part / increments) ** powers
         now = Control(
             by_force=control.by_force,
-            given=start + share * (control.given - start),
-            time_s=first.time_s + float(share.max()) * (control.time_s - first.time_s),
+            given=start + shares * (control.given - start),
+            time_s=first.time_s + float(shares.max()) * (control.time_s - first.time_s),
         )
         _refuse_slide(grid, history)
         try:

@@ -368,7 +368,9 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
             way = gap + led[2] - back + 2 * aside
             there = np.array(camera.pupil_mm[:2]) + way[:, None] * tangent
             covers = _disc(np.linalg.norm(there - led[:2], axis=1).reshape(shape), light.radius_mm)
-            seen = np.nan_to_num(covers * _mean((passed * mirrored).reshape(shape)))
+            seen = np.nan_to_num(
+                covers * _pixelwise((passed * mirrored).reshape(shape), np.add) / 4
+            )
             total += seen[:, :, None] * power
         passed = passed * (1 - mirrored) ** 2
     return total
@@ -380,13 +382,9 @@ def _disc(away: Floats, radius: float) -> Floats:
     across = away[:, 1:] - away[:, :-1]
     down = away[1:] - away[:-1]
     steep = np.hypot((across[1:] + across[:-1]) / 2, (down[:, 1:] + down[:, :-1]) / 2)
-    covers: Floats = np.clip(0.5 + (radius - _mean(away)) / np.maximum(steep, 1e-12), 0, 1)
+    covers: Floats = np.clip(
+        0.5 + (radius - _pixelwise(away, np.add) / 4) / np.maximum(steep, 1e-12), 0, 1
+    )
     # At the horizon a pixel looks at more than the whole disc: its share there is next to nothing.
     within: Floats = np.where(steep < 2 * radius, covers, 0.0)
     return within
-
-
-def _mean(corners: Floats) -> Floats:
-    """Return the mean of each pixel's four corners."""
-    mean: Floats = (corners[1:, 1:] + corners[1:, :-1] + corners[:-1, 1:] + corners[:-1, :-1]) / 4
-    return mean

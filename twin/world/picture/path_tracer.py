@@ -311,17 +311,17 @@ class _FoldedLeds(mi.Emitter):
         two = dr.gather(mi.Float, self._emission, first + 1, active)
         return one + (two - one) * (at - mi.Float(first))
 
-    def eval(self, _seen: Any, _active: Any = True) -> Any:
+    def eval(self, *_: Any) -> Any:
         """Return no light: a point is never met."""
         return mi.Color3f(0)
 
-    def pdf_direction(self, _from: Any, _found: Any, _active: Any = True) -> Any:
+    def eval_direction(self, *_: Any) -> Any:
+        """Return no light: a point is never met."""
+        return mi.Color3f(0)
+
+    def pdf_direction(self, *_: Any) -> Any:
         """Return 0: a point is never met."""
         return mi.Float(0)
-
-    def eval_direction(self, _from: Any, _found: Any, _active: Any = True) -> Any:
-        """Return no light: a point is never met."""
-        return mi.Color3f(0)
 
     def to_string(self) -> str:
         """Return a name for Mitsuba's messages."""

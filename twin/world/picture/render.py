@@ -236,16 +236,14 @@ class Renderer:
             return self._over_cover(markers, job, *self._shader.shade(job), cover)
         light: Singles = np.zeros_like(self._view.cover)
         for weight, part in self._parts:
-            job = part._job(markers, self.subpixels)
-            one = part._over_cover(markers, job, *part._shader.shade(job), cover)
-            light += weight * one
+            light += weight * part.radiance(markers, cover)
         return light
 
     def seen(
         self, markers: Ellipsoids, cover: CoverMotion | None = None
     ) -> tuple[Singles, Outlines]:
         """Return `radiance` and `outlines`, in one pass where the splat draws the picture."""
-        if self._parts or self._shader is not self._splat:
+        if self._parts or self.variant.name != "splat":
             return self.radiance(markers, cover), self.outlines(markers)
         job = self._job(markers, self.subpixels)
         marks, free, outlines = self._splat.look(job)
@@ -260,7 +258,7 @@ class Renderer:
         cover: CoverMotion | None,
     ) -> Singles:
         """Return the picture: (m, 3) light of markers, and their highlights, over what they leave
-        free of the cover, and specks over both."""
+        free of the cover, and specks and veil over both."""
         light = self._view.cover.copy()
         if cover is not None and self.background is not None and self.background.deforms:
             light *= self.background.change(cover)
@@ -276,15 +274,11 @@ class Renderer:
         if markers.gloss is not None and self.scene.imaging[1].ambient < 1:
             add_highlights(light, markers, job, self.scene, self._view)
         self._add_specks(light, markers, cover)
-        if self._view.veil is not None:
-            light += self._view.veil
         return light
 
     def _add_specks(self, light: Singles, markers: Ellipsoids, cover: CoverMotion | None) -> None:
-        """Lay marks in the rubber over what lies behind them, in place."""
-        if self.background is None:
-            return
-        for marks, shapes in self.background.specks(cover):
+        """Lay marks in the rubber over what lies behind them, and the veil over all, in place."""
+        for marks, shapes in () if self.background is None else self.background.specks(cover):
             assert marks.depth_mm is not None
             bright, covered = self._drawn(shapes, marks.size_mm / 2)
             if marks.hollow > 0:
@@ -300,19 +294,13 @@ class Renderer:
                 covered = covered * free
             light *= 1 - covered[:, :, None]
             light += bright * self._view.vignette[:, :, None]
+        if self._view.veil is not None:
+            light += self._view.veil
 
     def _drawn(self, shapes: Ellipsoids, unit_mm: float) -> tuple[Singles, Singles]:
         """Return the (height, width, 3) light of ellipsoids without shadows, before vignetting and
         gain, and the (height, width) share of each pixel that they cover."""
-        job = PictureJob.of(
-            shapes,
-            self.scene,
-            self._view,
-            unit_mm=unit_mm,
-            full_power=self._top,
-            subpixels=self.subpixels,
-            shadows=False,
-        )
+        job = self._job(shapes, self.subpixels, shadows=False, unit_mm=unit_mm)
         light, free = Splat(self._view, unit_mm, self.scene.imaging[1].ambient).shade(job)
         bright = np.zeros_like(self._view.cover)
         covered = np.zeros(bright.shape[:2], np.float32)
@@ -326,12 +314,19 @@ class Renderer:
         job = self._job(markers, subpixels or self.subpixels, shadows=False)
         return self._splat.look(job, bright=False)[2]
 
-    def _job(self, markers: Ellipsoids, subpixels: int, *, shadows: bool = True) -> PictureJob:
+    def _job(
+        self,
+        markers: Ellipsoids,
+        subpixels: int,
+        *,
+        shadows: bool = True,
+        unit_mm: float | None = None,
+    ) -> PictureJob:
         return PictureJob.of(
             markers,
             self.scene,
             self._view,
-            unit_mm=self._unit,
+            unit_mm=unit_mm or self._unit,
             full_power=self._top,
             subpixels=subpixels,
             shadows=self.shadows and shadows,
@@ -369,8 +364,6 @@ class _PathRenderer(Renderer):
         if (behind := self._view.behind(() if cover is None else cover.probes)) is not None:
             light += (1 - self._drawn(markers, self._unit)[1])[:, :, None] * behind
         self._add_specks(light, markers, cover)
-        if self._view.veil is not None:
-            light += self._view.veil
         return light
 
     @cached_property
@@ -381,12 +374,6 @@ class _PathRenderer(Renderer):
         light = light.model_copy(update={"ambient": 1.0, "outside": (0.0, 0.0, 0.0)})
         camera = camera.without_marks_in_rubber()
         return self._like(Variant.choose("splat"), camera=camera, light=light, renderer="splat")
-
-    def seen(
-        self, markers: Ellipsoids, cover: CoverMotion | None = None
-    ) -> tuple[Singles, Outlines]:
-        """See `Renderer`."""
-        return self.radiance(markers, cover), self.outlines(markers)
 
 
 def _colours(scene: Scene) -> list[tuple[Singles, dict[str, Any]]]:
@@ -402,28 +389,20 @@ def _colours(scene: Scene) -> list[tuple[Singles, dict[str, Any]]]:
     numbers = [scene.material.abbe_number, *(layer.abbe_number for layer in layered)]
     if camera is None or not any(numbers):
         return [(np.ones(3, np.float32), {})]
-    red, green, blue = np.eye(3, dtype=np.float32)
     colours = []
-    for share, wavelength in zip((red, green, blue), _WAVELENGTHS_NM, strict=True):
+    for share, wavelength in zip(np.eye(3, dtype=np.float32), _WAVELENGTHS_NM, strict=True):
         steps = (wavelength**-2 - _D_NM**-2) / (_F_NM**-2 - _C_NM**-2)
 
-        def index(n: float, abbe: float | None, steps: float = steps) -> float:
-            return n if abbe is None else max(n + (n - 1) / abbe * steps, 1.0)
+        def bent(part: Any, key: str, steps: float = steps) -> Any:
+            n, abbe = getattr(part, key), part.abbe_number
+            index = n if abbe is None else max(n + (n - 1) / abbe * steps, 1.0)
+            return part.model_copy(update={key: index, "abbe_number": None})
 
-        rubber = scene.material
-        rubber = rubber.model_copy(
-            update={
-                "refractive_index": index(rubber.refractive_index, rubber.abbe_number),
-                "abbe_number": None,
-            }
-        )
-        layers = tuple(
-            layer.model_copy(
-                update={"index": index(layer.index, layer.abbe_number), "abbe_number": None}
-            )
-            for layer in camera.layers
-        )
-        tables = {"material": rubber, "camera": camera.model_copy(update={"layers": layers})}
+        layers = tuple(bent(layer, "index") for layer in camera.layers)
+        tables = {
+            "material": bent(scene.material, "refractive_index"),
+            "camera": camera.model_copy(update={"layers": layers}),
+        }
         colours.append((share, tables))
     return colours
 

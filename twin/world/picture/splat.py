@@ -90,9 +90,7 @@ Number = float | np.float32
 Three = tuple[Number, Number, Number]
 Four = tuple[Number, Number, Number, Number]
 Six = tuple[Number, Number, Number, Number, Number, Number]
-Approach = tuple[
-    Number, Number, Number, Number, Number, Number, Number, Number, Number, Number, Number
-]
+Approach = tuple[Number, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,13 +131,13 @@ class Splat:
         k = job.subpixels
         light = np.empty((len(job.pixels), 3), np.float32)
         free = np.empty(len(job.pixels), np.float32)
-        grids = (k, max(k // _INTERIOR, 1), self._ambient, bright)
         # What both kernels need: markers, their light, and the pixels nearest to them.
         metric = np.ascontiguousarray(job.metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
         nearest = np.rint(job.centres_px).astype(np.int64)
-        tinted = (job.tints.astype(np.float32), job.even)
+        lamps = (job.lamps, job.tints.astype(np.float32), job.even)
         shadows = (job.occluder_first, job.occluder_members)
-        lit = (job.colour, job.lamps, *tinted, *shadows, nearest, *grids)
+        grids = (k, max(k // _INTERIOR, 1))
+        lit_by = (job.colour, *lamps, *shadows, nearest, grids, self._ambient, bright)
         placed = (self._corners, job.base, job.centres)
         singles = metric.astype(np.float32)
         own = int(job.isolated[-1])
@@ -149,16 +147,17 @@ class Splat:
             tallies = np.zeros((len(job), 4))
             work = (np.zeros(_ROWS * _BATCH, np.float32), np.empty((2, _BATCH), np.int64))
             lists = (job.pixels, job.isolated)
-            out = (light, free, tallies)
-            _shade_isolated(begin, end, *lists, *placed, singles, *lit, *work, *out)
+            _shade_isolated(
+                begin, end, lists, placed, singles, lit_by, work, (light, free, tallies)
+            )
             return tallies
 
         def overlapping(_: int, begin: int, end: int) -> Any:
             tallies = np.zeros((len(job), 4))
             work = (np.empty((2, longest), np.int64), np.empty((longest, 7)))
             lists = (job.pixels, job.first, job.members)
-            out = (light, free, tallies)
-            _shade_overlapping(own + begin, own + end, *lists, *placed, metric, *lit, *work, *out)
+            where = (own + begin, own + end)
+            _shade_overlapping(*where, lists, placed, metric, lit_by, work, (light, free, tallies))
             return tallies
 
         parts = in_parts(len(job), isolated) + in_parts(len(job.pixels) - own, overlapping)
@@ -313,33 +312,25 @@ def _four(w: Singles, at: int) -> Four:
 def _shade_isolated(
     begin: int,
     end: int,
-    pixels: Ints,
-    isolated: Ints,
-    corners: Floats,
-    base: float,
-    centres: Floats,
+    lists: tuple[Ints, Ints],
+    placed: tuple[Floats, float, Floats],
     metric: Singles,
-    colour: Floats,
-    lamps: Floats,
-    tints: Singles,
-    even: Floats,
-    dark_first: Indices,
-    dark_members: Indices,
-    nearest: Ints,
-    edge_grid: int,
-    inner_grid: int,
-    ambient: float,
-    bright: bool,
-    w: Singles,
-    chosen: Ints,
-    light: Singles,
-    free: Singles,
-    tallies: Floats,
+    lit_by: Any,
+    work: tuple[Singles, Ints],
+    out: tuple[Singles, Singles, Floats],
 ) -> None:
-    """Write light, free share and tallies of the own pixels of markers ``begin`` to ``end``.
+    """Write ``out``, light, free share and tallies, of the own pixels of markers ``begin`` to
+    ``end``.
 
-    Without ``bright`` only tallies count. ``w`` and ``chosen`` are work arrays.
+    ``lists`` are pixels and where each marker's begin, ``placed`` corners, base and centres,
+    ``lit_by`` what `Splat.look` names so; ``work`` are work arrays.
     """
+    pixels, isolated = lists
+    corners, base, centres = placed
+    colour, lamps, tints, even, dark_first, dark_members, nearest, grids, ambient, bright = lit_by
+    edge_grid, inner_grid = grids
+    w, chosen = work
+    light, free, tallies = out
     width = corners.shape[2] - 1
     leds = lamps.shape[1]
     quarter = 0.25
@@ -353,43 +344,30 @@ def _shade_isolated(
         for start in range(isolated[i], isolated[i + 1], _BATCH):
             count = min(_BATCH, isolated[i + 1] - start)
 
-            # 1. Rays of the pixels, a run of neighbours in one row of the picture at a time.
-            j = 0
-            while j < count:
-                pixel = pixels[start + j]
-                row = pixel // width
-                column = pixel % width
-                run = 1
-                while (
-                    j + run < count
-                    and pixels[start + j + run] == pixel + run
-                    and column + run < width
-                ):
-                    run += 1
-                for o in range(run):
-                    at, over = j + o, column + o
-                    for c in range(2):
-                        p = corners[c, row, over]
-                        q = corners[c, row, over + 1]
-                        r = corners[c, row + 1, over]
-                        s = corners[c, row + 1, over + 1]
-                        t = corners[c + 2, row, over]
-                        u = corners[c + 2, row, over + 1]
-                        x = corners[c + 2, row + 1, over]
-                        y = corners[c + 2, row + 1, over + 1]
-                        slope = (t + u + x + y) * quarter
-                        along = (u - t + y - x) * 0.5
-                        below = (x - t + y - u) * 0.5
-                        middle = (p + q + r + s) * quarter + slope * drop - centres[i, c]
-                        w[_ALL_RAY + c * _BATCH + at] = middle
-                        w[_ALL_RAY + (c + 2) * _BATCH + at] = slope
-                        w[_ALL_ACROSS + c * _BATCH + at] = (q - p + s - r) * 0.5 + along * drop
-                        w[_ALL_ACROSS + (c + 2) * _BATCH + at] = along
-                        w[_ALL_DOWN + c * _BATCH + at] = (r - p + s - q) * 0.5 + below * drop
-                        w[_ALL_DOWN + (c + 2) * _BATCH + at] = below
-                    w[_ALL_COLUMN + at] = over - nearest[i, 0]
-                    w[_ALL_ROW + at] = row - nearest[i, 1]
-                j += run
+            # 1. Rays of the pixels.
+            for j in range(count):
+                row, column = divmod(pixels[start + j], width)
+                for c in range(2):
+                    p = corners[c, row, column]
+                    q = corners[c, row, column + 1]
+                    r = corners[c, row + 1, column]
+                    s = corners[c, row + 1, column + 1]
+                    t = corners[c + 2, row, column]
+                    u = corners[c + 2, row, column + 1]
+                    x = corners[c + 2, row + 1, column]
+                    y = corners[c + 2, row + 1, column + 1]
+                    slope = (t + u + x + y) * quarter
+                    along = (u - t + y - x) * 0.5
+                    below = (x - t + y - u) * 0.5
+                    middle = (p + q + r + s) * quarter + slope * drop - centres[i, c]
+                    w[_ALL_RAY + c * _BATCH + j] = middle
+                    w[_ALL_RAY + (c + 2) * _BATCH + j] = slope
+                    w[_ALL_ACROSS + c * _BATCH + j] = (q - p + s - r) * 0.5 + along * drop
+                    w[_ALL_ACROSS + (c + 2) * _BATCH + j] = along
+                    w[_ALL_DOWN + c * _BATCH + j] = (r - p + s - q) * 0.5 + below * drop
+                    w[_ALL_DOWN + (c + 2) * _BATCH + j] = below
+                w[_ALL_COLUMN + j] = column - nearest[i, 0]
+                w[_ALL_ROW + j] = row - nearest[i, 1]
 
             # 2. Which pixels are inside the outline and which on its edge.
             for j in range((count + _LANES - 1) // _LANES * _LANES):
@@ -575,40 +553,28 @@ def _relative(
 def _shade_overlapping(
     begin: int,
     end: int,
-    pixels: Ints,
-    first: Indices,
-    members: Indices,
-    corners: Floats,
-    base: float,
-    centres: Floats,
+    lists: tuple[Ints, Indices, Indices],
+    placed: tuple[Floats, float, Floats],
     metric: Floats,
-    colour: Floats,
-    lamps: Floats,
-    tints: Singles,
-    even: Floats,
-    dark_first: Indices,
-    dark_members: Indices,
-    nearest: Ints,
-    edge_grid: int,
-    inner_grid: int,
-    ambient: float,
-    bright: bool,
-    lists: Ints,
-    hit: Floats,
-    light: Singles,
-    free: Singles,
-    tallies: Floats,
+    lit_by: Any,
+    work: tuple[Ints, Floats],
+    out: tuple[Singles, Singles, Floats],
 ) -> None:
-    """Write light, free share and tallies of pixels ``begin`` to ``end``.
+    """Write ``out`` as `_shade_isolated` does, of pixels ``begin`` to ``end``.
 
-    Without ``bright`` only tallies count. ``lists`` (2, longest) and ``hit`` (longest, 7) are work
-    arrays.
+    ``lists`` are pixels, where each one's markers begin, and these.
     """
+    pixels, first, members = lists
+    corners, base, centres = placed
+    colour, lamps, tints, even, dark_first, dark_members, nearest, grids, ambient, bright = lit_by
+    edge_grid, inner_grid = grids
+    near, order = work[0][0], work[0][1]
+    hit = work[1]
+    light, free, tallies = out
     width = corners.shape[2] - 1
     leds = lamps.shape[1]
     channels = len(even)
     total = np.zeros(channels)
-    near, order = lists[0], lists[1]
     ray = np.empty(4)
     middle, across, down = np.empty(4), np.empty(4), np.empty(4)
     for j in range(begin, end):
