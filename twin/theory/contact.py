@@ -52,8 +52,21 @@ def hertz(
     force_n: float | None = None,
     indentation_mm: float | None = None,
 ) -> _HertzContact:
-    """Return Hertz's contact of a rigid sphere of radius R for a force or an indentation, exactly
-    one of them and greater than 0, else an `InputError`.
+    """Return Hertz's contact of a rigid sphere for a given force or a given indentation.
+
+    Parameters
+    ----------
+    radius_mm
+        Radius R of the sphere.
+    youngs_modulus_mpa, poisson_ratio
+        Of the half-space.
+    force_n, indentation_mm
+        Exactly one of them, greater than 0.
+
+    Raises
+    ------
+    InputError
+        Neither or both of force and indentation are given, or not greater than 0.
 
     Notes
     -----

@@ -79,16 +79,28 @@ def _sideways(
 
 
 def project(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> Pixels:
-    """Return the (n, 2) column and row, px, at which a camera sees points of the body, also outside
-    the picture; NaN behind the base, outside the lens's range, or without a ray to the pupil.
+    """Return where the camera sees points of the body.
 
     Parameters
     ----------
     points
         (n, 3) points in the body, mm.
-    camera, body_index, base_z_mm
-        The camera, nominal or actual; the body's refractive index; the height of the plane where
-        the body ends and the layers begin, mm. A pupil in front of the layers is a `RecipeError`.
+    camera
+        The camera, nominal or actual.
+    body_index
+        Refractive index of the body.
+    base_z_mm
+        Height of the plane where the body ends and the layers begin, mm.
+
+    Returns
+    -------
+    (n, 2) column and row, px, also outside the picture; NaN for points behind the base, outside the
+    lens's range or without a ray to the pupil.
+
+    Raises
+    ------
+    RecipeError
+        The pupil lies in front of the layers.
     """
     towards, _, _ = _leave(points, camera, body_index, base_z_mm)
     return lens(towards @ camera.tilt_matrix(), camera)
@@ -111,13 +123,23 @@ def project_with_jacobian(
 def rays(
     pixels: Pixels, camera: Camera, body_index: float, base_z_mm: float
 ) -> tuple[Points, Points]:
-    """Return the rays inside the body that end at (n, 2) ``pixels``, column and row: the exact
+    """Return the rays inside the body that end in the given places of the picture: the exact
     inverse of `project`.
+
+    Parameters
+    ----------
+    pixels
+        (n, 2) column and row, px.
+    camera, body_index, base_z_mm
+        As for `project`.
 
     Returns
     -------
-    (n, 3) origins on the base plane, mm, and (n, 3) unit vectors from there into the body (z < 0);
-    both NaN where no ray reaches the pixel: outside the lens, or away from the layers.
+    origins
+        (n, 3) points on the base plane, mm.
+    directions
+        (n, 3) unit vectors from there into the body (z < 0). Both are NaN where no ray reaches the
+        pixel: outside the lens, or away from the layers.
     """
     into = lens_inverse(pixels, camera) @ camera.tilt_matrix().T
     down = np.where(into[:, 2] < -1e-12, -into[:, 2], np.nan)

@@ -482,8 +482,16 @@ def run_sweep(
     progress: Progress | None = None,
     optimise: bool = False,
 ) -> Swept:
-    """Run what is missing of a sweep and write its table. `RecipeError` where it can't be run,
-    `InputError` where the folder can't be written alone or the scheduler can't be reached."""
+    """Run a sweep, or what is missing of it, and write its table.
+
+    Raises
+    ------
+    RecipeError
+        The sweep can't be run.
+    InputError
+        The folder can't be written, another process is writing there, or the scheduler can't be
+        reached.
+    """
     _check(sweep, scene)
     designs = Designs.of(sweep, scene)
     if scheduler is not None:
