@@ -84,6 +84,7 @@ NARROW: dict[tuple[str, str], Strategy] = {
     ("Accuracy", "centroid_px"): st.one_of(st.just("auto"), st.floats(0.02, 1.0)),
     ("Accuracy", "contact_patches"): st.integers(6, 10),
     ("Tolerance", "poisson_ratio"): st.floats(0.0, 0.05),
+    ("Tolerance", "thickness_mm"): st.floats(0.0, 0.05),
     ("Tolerance", "depth_mm"): st.floats(0.0, 0.05),
     ("Tolerance", "print_mm"): st.floats(0.0, 0.05),
     ("Tolerance", "tilt_deg"): st.floats(0.0, 1.0),
@@ -154,7 +155,8 @@ def recipes(draw: Callable[[Strategy], Any]) -> Table:
     # material.law stays linear: most of these presses are refused at finite strain
     rubber = part(Material, without=("law", "law_ratios"))
     accuracy, material, tolerance = draw(part(Scene.Accuracy)), draw(rubber), draw(part(Scene.Tolerance))
-    if body["shape"] != "block":  # the block has a table, the others are solved
+    if body["shape"] != "block":  # the block has a table, the others are solved, and have no one thickness
+        tolerance.pop("thickness_mm", None)
         accuracy["displacement"] = draw(st.floats(0.03, 0.2))
         if accuracy.get("surface_table"):  # half a minute for each Poisson's ratio, so that all have the same
             material["poisson_ratio"], tolerance, accuracy["displacement"] = 0.5, {"preset": "none"}, 0.1
