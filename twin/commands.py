@@ -506,7 +506,8 @@ def doctor() -> _Output:
     from twin.study.check import examine
 
     facts, missing = examine()
-    yield from _named(f"{name:11s} {found}" for name, found in facts.items())
+    for name, found in facts.items():
+        yield f"{name:11s} {found}", {"name": name, "found": found}
     if missing:
         raise MissingCapability("the main job can't run: " + "; ".join(missing))
 

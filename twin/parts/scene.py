@@ -213,6 +213,12 @@ class Scene(Part):
         focal_pct: float = Field(default=0.3, ge=0, le=10)
         distortion: float = Field(default=0.0, ge=0, le=0.2)
 
+        def most_of_thickness_mm(self, body_mm: float, deepest_mm: float) -> float:
+            """Return the largest ``thickness_mm`` with which a block of ``body_mm`` stays 1 mm
+            thick and holds markers drawn ``deepest_mm`` deep."""
+            least = max(1.0, deepest_mm + CUT * self.depth_mm)
+            return max(body_mm - least, 0.0) / CUT
+
     class Tracking(Part):
         """How marker centres are measured.
 
@@ -419,11 +425,10 @@ class Scene(Part):
     @property
     def scale_error(self) -> float:
         """Standard deviation of a factor on all forces read by the design, over 1."""
-        room, body = self.tolerance, self.body
+        room = self.tolerance
         if room.preset == "none":
             return 0.0
-        thickness = body.thickness_mm if isinstance(body, Block) else math.inf
-        by_thickness = OF_THICKNESS * room.thickness_mm / thickness
+        by_thickness = OF_THICKNESS * room.thickness_mm / self.body.base_z_mm
         return math.hypot(room.youngs_modulus_pct / 100, room.focal_pct / 100, by_thickness)
 
     @property
@@ -509,11 +514,11 @@ class Scene(Part):
                 f"body.shape = '{self.body.shape}'"
             )
         deepest = max((layer.depth_mm for layer in self.markers.values()), default=0.0)
-        most = (self.body.thickness_mm - max(1.0, deepest + CUT * room.depth_mm)) / CUT
+        most = room.most_of_thickness_mm(self.body.thickness_mm, deepest)
         if room.thickness_mm > most:
             raise ValueError(
                 f"tolerance.thickness_mm = {room.thickness_mm:g} mm: {CUT:g} times that leaves no "
-                f"room for the markers, or less than 1 mm; take at most {max(most, 0.0):.3g} mm"
+                f"room for the markers, or less than 1 mm; take at most {most:.3g} mm"
             )
 
 

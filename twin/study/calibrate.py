@@ -146,8 +146,7 @@ def calibrate_to_file(
     stored = scene.reconstruction.model_dump(exclude={"sites", "source", "assumed"})
     if made.relaxation is None:
         stored["frames_per_second"] = None
-    facts = made.facts | {"reconstruction": stored}
-    made = replace(made, provenance=json.dumps(facts))
+    made = _stating(made, {"reconstruction": stored})
     made.write(out)
     if progress is not None:
         progress("done", 1.0)
@@ -221,7 +220,7 @@ def _fitted_numbers(scene: Scene, facts: dict[str, Any]) -> list[str]:
     drawn = {
         "youngs_modulus": ("Young's modulus", modulus, modulus, " MPa"),
         "poisson_ratio": ("Poisson's ratio", nu, 1.0, ""),
-        "thickness": ("thickness", getattr(scene.body, "thickness_mm", 0.0), 1.0, " mm"),
+        "thickness": ("thickness", scene.body.base_z_mm, 1.0, " mm"),
         **{
             f"depth_{name}": (f"depth of {name}", layer.depth_mm, 1.0, " mm")
             for name, layer in scene.markers.items()
@@ -456,9 +455,13 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
 
 def _with_facts(made: Calibration, presses: Presses, facts: dict[str, Any]) -> Calibration:
     """Add facts, and the rest places in the presses' rest picture, to a calibration."""
-    facts = json.loads(made.provenance) | facts | {"rest": "measured"}
     layout = np.where(np.isfinite(presses.rest_px), presses.rest_px, made.layout_px)
-    return replace(made, layout_px=layout, provenance=json.dumps(facts))
+    return _stating(replace(made, layout_px=layout), facts | {"rest": "measured"})
+
+
+def _stating(made: Calibration, facts: dict[str, Any]) -> Calibration:
+    """Return a calibration with more facts, or other ones, in its provenance."""
+    return replace(made, provenance=json.dumps(made.facts | facts))
 
 
 def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibration:
@@ -543,8 +546,8 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
             try:
                 found.append(tracker.track(read_picture(folder / name)))
             except InputError as problem:
-                text = str(problem).removeprefix(f"{folder / name}: ")
-                raise InputError(f"{folder / name}: {text}") from None
+                cause = str(problem).removeprefix(f"{folder / name}: ")
+                raise InputError(f"{folder / name}: {cause}") from None
             if progress is not None:
                 progress(f"tracking, press {number} of {count}", 0.3 * number / count)
         presses = _measured(scene, np.zeros(count, np.int64), force_n, found)
@@ -554,7 +557,7 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
         text += f", {count} presses"
         if sensor.relaxation is not None and not np.isfinite(held_s).all():
             # How far the rubber had relaxed under each press isn't known.
-            made = replace(made, provenance=json.dumps(made.facts | {"relaxation": []}))
+            made = _stating(made, {"relaxation": []})
             text += f"; {TABLE} has no {HELD}, so how the rubber relaxes is left out"
     if scene.calibration.method != "fitted":
         made = replace(made, layout_px=np.where(known[:, None], rest_px, made.layout_px))
@@ -616,7 +619,7 @@ def _by_presses(
         places = Rectangles.on_surface(scene.body, charts[first], half_mm, TABLE)
         presses = replace(presses, place=which.ravel().astype(np.int64))
         made = _fitted_calibration(sensor, places, presses)
-        return _with_facts(made, presses, {"frames": [names[k] for k in first]})
+        return _stating(made, {"frames": [names[k] for k in first]})
     # Sato's way: three presses at every place of a grid, in any order.
     grid = scene.calibration.presses or scene.inverse.sites
     wanted = grid.chart()

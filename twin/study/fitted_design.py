@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.arrays import Floats, Ints, Pixels, Points
-from twin.parts.body import Block
+from twin.parts.body import Body
 from twin.parts.camera import Camera
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
@@ -91,7 +91,7 @@ class FittedDesign:
         sizes = {
             "youngs_modulus": room.youngs_modulus_pct / 100,
             "poisson_ratio": room.poisson_ratio,
-            "thickness": room.thickness_mm if isinstance(scene.body, Block) else 0.0,
+            "thickness": room.thickness_mm,
             **{f"depth_{name}": room.depth_mm for name in scene.markers},
             **{f"pupil_{axis}": room.pupil_mm for axis in AXES},
             **{f"tilt_{axis}": room.tilt_deg for axis in AXES},
@@ -109,7 +109,7 @@ class FittedDesign:
         self._chart = np.concatenate([layer.chart() for layer in scene.markers.values()])
         self._layer = np.repeat(list(scene.markers), counts)
 
-    def _body(self, **changes: Block | Material) -> Compliance:
+    def _body(self, **changes: Body | Material) -> Compliance:
         scene = self.scene.model_copy(update=changes)
         return Compliance(scene.body, scene.material, level="nominal", progress=self._progress)
 
@@ -125,10 +125,9 @@ class FittedDesign:
 
     @cached_property
     def _thicker(self) -> Compliance:
-        block = self.scene.body
-        assert isinstance(block, Block)
-        thickness = block.thickness_mm + self.sizes["thickness"]
-        return self._body(body=block.model_copy(update={"thickness_mm": thickness}))
+        nominal = self.scene.body
+        thickness = nominal.base_z_mm + self.sizes["thickness"]
+        return self._body(body=nominal.model_copy(update={"thickness_mm": thickness}))
 
     def _by_cover(self, sites: Rectangles) -> Floats | float:
         """Return (3n, 3k) mm/N, by how much the nominal cover moves the markers as drawn more."""

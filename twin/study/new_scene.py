@@ -16,7 +16,7 @@ from pathlib import Path
 from twin.errors import InputError
 from twin.files import write_whole
 from twin.parts.markers import MarkerSet
-from twin.parts.vary import CUT
+from twin.parts.scene import Scene
 from twin.study.doubts import doubts
 from twin.study.recipe import validate_scene
 
@@ -222,8 +222,9 @@ def _recipe_of(pad: Pad) -> str:
     ground = [0.35] * 3 if len(layers) == 1 else [0.03] * 3
     corners = [[x, y, led_z] for x in (led, -led) for y in (led, -led)]
     slack = min(0.03, min(depth_mm for depth_mm, *_ in layers) / 5)
-    deepest = max(depth_mm for depth_mm, *_ in layers) + CUT * slack
-    uneven = min(0.02 * thickness, 0.9 * max(thickness - max(1.0, deepest), 0.0) / CUT)
+    deepest = max(depth_mm for depth_mm, *_ in layers)
+    room = Scene.Tolerance(depth_mm=slack).most_of_thickness_mm(thickness, deepest)
+    uneven = min(0.02 * thickness, 0.9 * room)
     printed = min(0.03, min(pitch for _, pitch, _ in layers) / 20)
     return f"""title = "A pad of {width:g} x {length:g} x {thickness:g} mm, by twin scenes --new"
 seed = 1              # another number: another made sensor, other noise

@@ -18,7 +18,6 @@ import numpy as np
 from twin.arrays import Chart, Floats, Picture, Pixels, Points, Progress, Singles, frozen
 from twin.blas_threads import one_blas_thread
 from twin.errors import AccuracyWarning, ContactError, InputError, RecipeError, require
-from twin.parts.body import Block
 from twin.parts.load import Load, Rectangles
 from twin.parts.markers import MarkerSet
 from twin.parts.part import Purpose
@@ -149,16 +148,22 @@ def _make(nominal: Scene) -> _Actual:
         )
     # The thickness; the camera is held by the base.
     body = nominal.body
-    if tolerance.thickness_mm and isinstance(body, Block):
+    if tolerance.thickness_mm:
         thicker = tolerance.thickness_mm * deviation()
-        body = body.model_copy(update={"thickness_mm": body.thickness_mm + thicker})
+        body = body.model_copy(update={"thickness_mm": body.base_z_mm + thicker})
         camera = camera and camera.raised(thicker)
-    changes = {"material": material, "cover": cover, "markers": layers, "camera": camera}
+    changes = {
+        "body": body,
+        "material": material,
+        "cover": cover,
+        "markers": layers,
+        "camera": camera,
+    }
     # The print of single markers has a stream of its own.
     noise = Purpose.PRINT.stream(nominal.seed).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)
     return _Actual(
-        scene=nominal.model_copy(update=changes | {"body": body}),
+        scene=nominal.model_copy(update=changes),
         jitter_mm=frozen(jitter),
         markers=MarkerSet.place(body, layers, jitter),
         prints=_prints(nominal, count),
