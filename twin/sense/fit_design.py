@@ -159,7 +159,7 @@ class Fit:
             residuals = _Residuals(design, presses, np.hypot(known, model))
             scaled, slope = _gauss_newton(residuals, scaled)
             left = residuals.press_residual_px(scaled)
-            # The model's error is the same everywhere: by moments, each as it is known.
+            # The model's error has one variance for all shifts: their mean excess, weighted.
             weight = np.where(residuals.seen, residuals.sd_px**-4.0, 0.0)
             excess = weight[:, :, None] * (np.nan_to_num(left) ** 2 - known[:, :, None] ** 2) / 2
             least = (0.2 * presses.noise_px) ** 2

@@ -189,8 +189,8 @@ class FittedDesign:
         return body.chart_points(self._chart + error, depth), error
 
     def unsure_px(self, presses: Presses) -> Floats:
-        """See `twin.sense.fit_design.Design.unsure_px`: what the unknown pressure under the contact
-        does, whose force is known.
+        """See `twin.sense.fit_design._Design.unsure_px`: what the unknown pressure under the
+        contact does, whose force is known.
 
         At a distance d from a contact of radius a it is of the order of (a/d)^2 times the second
         moment of the pressure's error (Saint-Venant).
@@ -205,7 +205,7 @@ class FittedDesign:
     def predict(
         self, scaled: Floats, rest_px: Pixels, place: Ints, force_n: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """See `twin.sense.fit_design.Design.predict`."""
+        """See `twin.sense.fit_design._Design.predict`."""
         optics = self.optics_of(scaled)
         markers, prints = self.markers_of(scaled, rest_px)
         by_place = self._footprints(scaled, markers)

@@ -224,7 +224,7 @@ def _recipe_of(pad: Pad) -> str:
     slack = min(0.03, min(depth_mm for depth_mm, *_ in layers) / 5)
     deepest = max(depth_mm for depth_mm, *_ in layers)
     room = Scene.Tolerance(depth_mm=slack).most_of_thickness_mm(thickness, deepest)
-    uneven = min(0.02 * thickness, 0.9 * room)
+    thickness_sd = min(0.02 * thickness, 0.9 * room)
     printed = min(0.03, min(pitch for _, pitch, _ in layers) / 20)
     return f"""title = "A pad of {width:g} x {length:g} x {thickness:g} mm, by twin scenes --new"
 seed = 1              # another number: another made sensor, other noise
@@ -289,7 +289,7 @@ assumed = "well below the noise of the tracker"
 
 [tolerance]               # how well the maker knows the sensor: standard deviations
 youngs_modulus_pct = 1.5
-thickness_mm = {uneven:.3g}
+thickness_mm = {thickness_sd:.3g}
 depth_mm = {slack:.3g}
 print_mm = {printed:.3g}
 pupil_mm = 0.05
