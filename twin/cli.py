@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from functools import wraps
 from types import FrameType
 from typing import Annotated, Any, NoReturn, get_type_hints
@@ -27,7 +27,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, Unused
 
 from twin import commands
 from twin.blas_threads import THREADS, set_environment
-from twin.errors import InputError, TwinError
+from twin.errors import InputError, RecipeError, TwinError
 from twin.files import plain
 
 app = App(
@@ -43,13 +43,15 @@ app = App(
 )
 
 
-def _printing(command: Callable[..., Iterator[Any]]) -> Callable[..., None]:
-    """Return a command that prints the lines that it yields as they come; with ``--json``, lines,
-    records, what went to standard error, and what went wrong, as one object at the end."""
+def _add(command: Callable[..., Iterator[Any]]) -> None:
+    """Add a command, whose docstring holds the help of it and of its parameters, and examples. It
+    prints the lines that it yields as they come; with ``--json``, lines, records, what went to
+    standard error, and what went wrong, as one object at the end."""
 
     @wraps(command)
     def printing(*arguments: Any, json_: bool = False, **options: Any) -> None:
-        with contextlib.closing(command(*arguments, **options)) as output:  # type: ignore[type-var]
+        scene = options.get("scene") or (arguments[0] if arguments else None)
+        with contextlib.closing(_named(command(*arguments, **options), scene)) as output:
             if json_:
                 _print_json(command.__name__, output)
                 return
@@ -60,14 +62,32 @@ def _printing(command: Callable[..., Iterator[Any]]) -> Callable[..., None]:
     keyword = inspect.Parameter(
         "json_", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_Json
     )
+    text, _, examples = (inspect.getdoc(command) or "").partition("\n\nExamples:\n")
+    about, _, section = text.partition("\n\nParameters\n----------\n")
     kinds = get_type_hints(command, include_extras=True)
-    for name, text in _texts_of(command).items():
-        kinds[name] = Annotated[kinds[name], Parameter(help=text)]
+    for entry in filter(None, re.split(r"\n(?=\S)", section)):
+        name, *words = entry.split()
+        kinds[name] = Annotated[kinds[name], Parameter(help=" ".join(words))]
     given = inspect.signature(command).parameters.values()
     described = [each.replace(annotation=kinds[each.name]) for each in given]
     printing.__signature__ = inspect.Signature([*described, keyword])  # type: ignore[attr-defined]
     printing.__annotations__ = {**kinds, "json_": _Json, "return": None}
-    return printing
+    app.command(
+        printing,
+        help=re.sub(r"(?<!\n)\n(?!\n)", " ", about),
+        help_epilogue=f"Examples:\n{examples}" if examples else "",
+    )
+
+
+def _named(output: Iterator[Any], scene: str | None) -> Generator[Any]:
+    """Yield what a command yields; begin the messages of recipe errors, which know "this scene"
+    only, with its name."""
+    try:
+        yield from output
+    except RecipeError as problem:
+        if problem.where is not None:
+            raise
+        raise RecipeError(problem.problems, scene) from None
 
 
 _Json = Annotated[
@@ -119,26 +139,6 @@ def _print_json(name: str, output: Iterator[Any]) -> None:
         raise failure
 
 
-def _texts_of(command: Callable[..., Iterator[Any]]) -> dict[str, str]:
-    """Return what a command's docstring states of its parameters, by name."""
-    _, _, section = (inspect.getdoc(command) or "").partition("\n\nParameters\n----------\n")
-    entries = re.split(r"\n(?=\S)", section.partition("\n\n")[0])
-    parts = [entry.split() for entry in entries if entry]
-    return {name: " ".join(words) for name, *words in parts}
-
-
-def _help_of(command: Callable[..., Iterator[Any]]) -> dict[str, str]:
-    """Return a command's help from its docstring: paragraphs that a terminal can wrap, and
-    examples, a line each."""
-    text, _, examples = (inspect.getdoc(command) or "").partition("\n\nExamples:\n")
-    text = text.partition("\n\nParameters\n")[0]
-    paragraphs = [" ".join(paragraph.split("\n")) for paragraph in text.split("\n\n")]
-    return {
-        "help": "\n\n".join(paragraphs),
-        "help_epilogue": f"Examples:\n{examples}" if examples else "",
-    }
-
-
 for _command in (
     commands.run,
     commands.explain,
@@ -154,7 +154,7 @@ for _command in (
     commands.check,
     commands.doctor,
 ):
-    app.command(_printing(_command), **_help_of(_command))
+    _add(_command)
 
 
 FULL = {errno.ENOSPC, errno.EFBIG, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}

@@ -13,15 +13,15 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from cyclopts import Parameter, Token
 
-from twin.errors import InputError, MissingCapability, RecipeError, SomeFailed
+from twin.errors import InputError, MissingCapability, SomeFailed
+from twin.files import fact
 from twin.parts.methods import WANTED, Method, WeightRule
 
 if TYPE_CHECKING:
@@ -141,17 +141,6 @@ def _load(scene: str, overrides: Sequence[str]) -> Scene:
     return load_scene(scene, parse_overrides(overrides))
 
 
-@contextmanager
-def _scene_named(scene: str) -> Iterator[None]:
-    """Begin the messages of recipe errors, which know "this scene" only, with its name."""
-    try:
-        yield
-    except RecipeError as problem:
-        if problem.where is not None:
-            raise
-        raise RecipeError(problem.problems, scene) from None
-
-
 def _file_name(scene: Path, overrides: Sequence[str]) -> str:
     """Return a name for output of a scene, without suffix: other overrides, another name. A hash
     stands at its end where characters, special to file systems or shells, become ``_``."""
@@ -231,8 +220,7 @@ def run(
         from twin.study.live import QUICK, run_live
         from twin.study.recipe import load_scene, parse_overrides
 
-        with _scene_named(scene):
-            run_live(load_scene(scene, QUICK | parse_overrides(set_)), port, _progress())
+        run_live(load_scene(scene, QUICK | parse_overrides(set_)), port, _progress())
         return
     if port:
         raise InputError("--port: belongs to --live")
@@ -249,8 +237,7 @@ def run(
         from twin.study.film import film_to_folder
 
         folder = out or folder / "film"
-        with _scene_named(scene):
-            yield film_to_folder(loaded, folder, _progress(), h264=h264), {"folder": str(folder)}
+        yield film_to_folder(loaded, folder, _progress(), h264=h264), {"folder": str(folder)}
         return
     from twin.results import RunResult
     from twin.study.run import run_to_folder
@@ -258,8 +245,7 @@ def run(
     if open_ and "report" not in wanted:
         raise InputError("--open: --want leaves the report out; add report to it")
     try:
-        with _scene_named(scene):
-            text = run_to_folder(loaded, folder, wanted, progress=_progress())
+        text = run_to_folder(loaded, folder, wanted, progress=_progress())
     except SomeFailed:
         yield "", RunResult.on_disk(folder)
         raise
@@ -297,13 +283,6 @@ def explain(
     if not found:
         raise InputError(f"{path}: holds no number of a run; compute one with --want score")
     yield from ((one.line(), asdict(one)) for one in found)
-
-
-def _named(lines: Iterable[str]) -> _Output:
-    """Yield lines that begin with a name, and what follows it, as records."""
-    for line in lines:
-        name, *found = re.split(r"  +|: | = ", line.strip(), maxsplit=1)
-        yield line, {"name": name, "found": "".join(found)}
 
 
 def _listed(option: str, given: Sequence[str], known: str) -> list[str]:
@@ -346,16 +325,19 @@ def mesh(
         if export is not None and level == "standard":
             made.export(body, export)
         worst = Quality.of(made, body)
-        angle, failures = worst.least_dihedral_deg, worst.failures()
-        state = f"smallest dihedral angle {angle:.1f} deg, volume and surface ok"
-        sizes = {
+        failures = worst.failures()
+        record = {
+            "level": level,
             "tetrahedra": len(made.tets),
             "nodes": len(made.points),
             "unknowns": made.unknowns,
+            "least_dihedral_deg": worst.least_dihedral_deg,
+            "failures": failures,
         }
-        size = ", ".join(f"{count} {name}" for name, count in sizes.items())
-        record = {"level": level, **sizes, "least_dihedral_deg": angle, "failures": failures}
-        yield f"{level:8s} {size}; {'; '.join(failures) or state}", record
+        text = "{level:8s} {tetrahedra} tetrahedra, {nodes} nodes, {unknowns} unknowns; "
+        good = "smallest dihedral angle {least_dihedral_deg:.1f} deg, volume and surface ok"
+        text += "; ".join(failures) or good
+        yield text.format(**record), record
     if progress is not None:
         progress("done", 1.0)
 
@@ -480,22 +462,18 @@ def check(
     if second is not None and scene is not None:
         from twin.study.check import check_camera
 
-        loaded = _load(scene, set_)
-        with _scene_named(scene):
-            yield from _named(check_camera(Path(file), second, loaded))
+        yield from check_camera(Path(file), second, _load(scene, set_))
         return
     if camera:
         from twin.study.photon_transfer import photon_transfer
 
-        loaded = _load(file, set_)
-        with _scene_named(file):
-            yield from _named(photon_transfer(loaded.ccd).lines(loaded.ccd))
+        ccd = _load(file, set_).ccd
+        yield from photon_transfer(ccd).facts(ccd)
         return
     from twin.study.check import check_path
     from twin.study.recipe import parse_overrides
 
-    with _scene_named(file):
-        yield from _named(check_path(file, parse_overrides(set_)))
+    yield from check_path(file, parse_overrides(set_))
 
 
 def doctor() -> _Output:
@@ -506,8 +484,7 @@ def doctor() -> _Output:
     from twin.study.check import examine
 
     facts, missing = examine()
-    for name, found in facts.items():
-        yield f"{name:11s} {found}", {"name": name, "found": found}
+    yield from (fact(*each) for each in facts.items())
     if missing:
         raise MissingCapability("the main job can't run: " + "; ".join(missing))
 
@@ -607,13 +584,12 @@ def view(
         shown.show()
         return
     make_folder(page.parent)
-    with _scene_named(path):
-        if page.suffix.lower() in FILMS:
-            line = write_film(sensor, page)
-        else:
-            write_whole(page, body_view(sensor).page().encode())
-            line = f"written to {page}; open it in a browser"
-        yield line, {"file": str(page)}
+    if page.suffix.lower() in FILMS:
+        line = write_film(sensor, page)
+    else:
+        write_whole(page, body_view(sensor).page().encode())
+        line = f"written to {page}; open it in a browser"
+    yield line, {"file": str(page)}
     if bar is not None:
         bar("done", 1.0)
 
@@ -676,15 +652,14 @@ def calibrate(
         # A scene has tables already, and its camera's pitch is what is questioned.
         tables = out or (Path("markers.toml") if scene is None else None)
         drawn = overlay or (tables and tables.with_suffix(".png"))
-        with _scene_named(scene or str(layout_from)):
-            text = layout_to_files(
-                layout_from,
-                tables,
-                drawn,
-                pitch_mm=pitch_mm,
-                depth_mm=depth_mm,
-                scene=None if scene is None else _load(scene, set_),
-            )
+        text = layout_to_files(
+            layout_from,
+            tables,
+            drawn,
+            pitch_mm=pitch_mm,
+            depth_mm=depth_mm,
+            scene=None if scene is None else _load(scene, set_),
+        )
         yield text, {"file": tables and str(tables), "overlay": drawn and str(drawn)}
         return
     if overlay is not None or pitch_mm or depth_mm:
@@ -698,8 +673,7 @@ def calibrate(
     from twin.study.calibrate import calibrate_to_file
 
     loaded = _load(scene, (*set_, f"calibration.method={method}") if method else set_)
-    with _scene_named(scene):
-        yield calibrate_to_file(loaded, out, _progress(), folder), {"file": str(out)}
+    yield calibrate_to_file(loaded, out, _progress(), folder), {"file": str(out)}
 
 
 def reconstruct(
@@ -842,7 +816,7 @@ def dataset(
     if batch.dry_run:
         from twin.study.dataset.create import estimate
 
-        yield from _named(estimate(loaded, samples, workers=workers, progress=_progress()))
+        yield from estimate(loaded, samples, workers=workers, progress=_progress())
         return
     done = create_dataset(
         loaded, folder, samples, workers=workers, scheduler=cluster, progress=_progress()
@@ -890,8 +864,7 @@ def export(
     if format == "mitsuba":
         from twin.study.export_scene import export_scene
 
-        with _scene_named(source):
-            files = export_scene(_load(source, set_), out, _progress())
+        files = export_scene(_load(source, set_), out, _progress())
     else:
         from twin.study.dataset.export import export_dataset
 
@@ -940,7 +913,7 @@ def sweep(
     if batch.dry_run:
         from twin.study.sweep.sweep_run import estimate
 
-        yield from _named(estimate(wanted, scene, workers=workers))
+        yield from estimate(wanted, scene, workers=workers)
         return
     from twin.study.sweep.sweep_report import write_report
     from twin.study.sweep.sweep_run import run_sweep

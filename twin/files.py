@@ -229,6 +229,19 @@ def write_json(path: Path, table: Mapping[str, Any]) -> None:
     write_whole(path, json.dumps(plain(table), indent=2).encode())
 
 
+Fact = tuple[str, dict[str, Any]]
+"""A line that a command prints, and the record that it shows."""
+
+
+def fact(name: str, text: str, values: Mapping[str, Any] | None = None, mark: str = "") -> Fact:
+    """Return what a command found, as a line and a record with ``values``: numbers by keys that end
+    with the unit; ``{key}`` stands for one in the text, which begins at a column, or behind
+    ``mark``."""
+    found = text.format_map(values) if values else text
+    line = f"{name}{mark}{found}" if mark else f"{name:11s} {found}"
+    return line, {"name": name.strip(), "found": found, **(values or {})}
+
+
 def plain(value: Any) -> Any:
     """Return tables, lists, arrays and numbers as JSON holds them; None for one not finite."""
     import numpy as np

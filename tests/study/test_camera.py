@@ -67,7 +67,7 @@ def test_a_scene_takes_its_camera_from_a_file() -> None:
     assert scene.camera.distortion == KNOWN["distortion"]
     assert scene.camera.pupil_mm == (0, 0, 108.85)
     assert scene.camera.source["focal_px"] == "file opencv_camera.yml"  # type: ignore[index]
-    head, *lines = check_path(str(REFERENCE / "opencv_camera.yml"))
+    head, *lines = [line for line, _ in check_path(str(REFERENCE / "opencv_camera.yml"))]
     assert '[camera] intrinsics = "opencv_camera.yml"' in head
     assert tomllib.loads("\n".join(lines))["focal_px"] == 500
 
@@ -108,30 +108,28 @@ def said(scene, pair, place, suffix=".png", **options):
     names = [place / f"rest{i}{suffix}" for i in (1, 2)]
     for name, picture in zip(names, pair, strict=True):
         Image.fromarray(picture).save(name, **options)
-    lines = check_camera(*names, scene)
-    return {line.split()[0]: line for line in lines}
+    return {record["name"]: record for _, record in check_camera(*names, scene)}
 
 
 @pytest.mark.slow
 def test_a_good_camera_and_what_spoils_it(pictures, tmp_path):
     scene, pair = pictures
     fine = said(scene, pair, tmp_path)
-    assert fine["good"] == "good enough: yes"
+    assert fine["good enough"]["found"] == "yes"
     noise = np.std(pair[0].astype(float) - pair[1]) / np.sqrt(2)
-    assert float(fine["noise"].split()[1]) == pytest.approx(noise, rel=0.05)
-    measured, stated = (float(fine["shifts"].split()[i]) for i in (1, 4))
-    assert 0.75 < measured / stated < 1.25
-    assert "compression" in said(scene, pair, tmp_path, ".jpg", quality=70)["good"]
+    assert fine["noise"]["noise_counts"] == pytest.approx(noise, rel=0.05)
+    assert 0.75 < fine["shifts"]["measured_px"] / fine["shifts"]["stated_px"] < 1.25
+    assert "compression" in said(scene, pair, tmp_path, ".jpg", quality=70)["good enough"]["found"]
     bright = [np.clip(2.5 * p.astype(float), 0, 255).astype(np.uint8) for p in pair]
-    assert "saturated" in said(scene, bright, tmp_path)["good"]
+    assert "saturated" in said(scene, bright, tmp_path)["good enough"]["found"]
     copied = [pair[0], pair[0].copy()]
     copied[1][0, 0] ^= 1
-    assert "hardly two exposures" in said(scene, copied, tmp_path)["good"]
+    assert "hardly two exposures" in said(scene, copied, tmp_path)["good enough"]["found"]
     moved = [pair[0], np.roll(pair[1], 1, axis=1)]
-    assert "mount the camera" in said(scene, moved, tmp_path)["good"]
+    assert "mount the camera" in said(scene, moved, tmp_path)["good enough"]["found"]
     touched = pair[1].copy()
     touched[220:260, 300:340] = pair[1][220:260, 299:339]
-    answer = said(scene, [pair[0], touched], tmp_path)["good"]
+    answer = said(scene, [pair[0], touched], tmp_path)["good enough"]["found"]
     assert "markers moved against the others" in answer
     assert "mount the camera" not in answer
 
@@ -200,9 +198,9 @@ def test_what_a_recipe_adds_to_a_chip_is_found():
 def test_noise_that_eight_bits_hide_is_said_to_be_hidden():
     hidden = Ccd(full_well_e=60000.0)
     found = photon_transfer(hidden)
-    lines = {line.split()[0]: line for line in found.lines(hidden)}
-    assert "unknown electrons, stated 32; variance" in lines["dark"]
-    assert "too little, hidden by rounding" in lines["dark"]
+    dark = {record["name"]: record["found"] for _, record in found.facts(hidden)}["dark noise"]
+    assert "unknown electrons, stated 32; variance" in dark
+    assert "too little, hidden by rounding" in dark
     assert np.isnan(found.dark_noise_e)
 
 

@@ -37,7 +37,7 @@ def test_resolved_scene_reads_back_the_same(name: str) -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_every_number_has_a_source_or_says_that_it_is_assumed(name: str) -> None:
-    told = [line for line in check_path(name) if line.startswith("numbers without source or assumed")]
+    told = [line for line, _ in check_path(name) if line.startswith("numbers without source or assumed")]
     # the ten-line scene shows how little a user has to write
     little = ["numbers without source or assumed: press.at_mm, press.force_n, press.probe.diameter_mm"]
     assert told == (little if name == "first_press" else [])
@@ -46,7 +46,7 @@ def test_every_number_has_a_source_or_says_that_it_is_assumed(name: str) -> None
 def test_a_number_without_provenance_is_noticed(tmp_path: Path) -> None:
     recipe = tmp_path / "mine.toml"
     recipe.write_text('base = "kamiyama_pillar"\n[markers.red]\ndepth_mm = 5.5\n')
-    assert check_path(str(recipe))[-1] == "numbers without source or assumed: markers.red.depth_mm"
+    assert check_path(str(recipe))[-1][0] == "numbers without source or assumed: markers.red.depth_mm"
 
 
 def test_a_check_holds_for_the_scene_with_its_overrides() -> None:

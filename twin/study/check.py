@@ -24,7 +24,7 @@ import numpy as np
 
 from twin.arrays import Floats, Picture
 from twin.errors import InputError, MissingCapability, RecipeError
-from twin.files import MESHES, SCENES, cache_folder, read_arrays
+from twin.files import MESHES, SCENES, Fact, cache_folder, fact, read_arrays
 from twin.parts.part import Part
 from twin.parts.scene import Scene
 from twin.study.doubts import doubts
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from twin.sense.track import Found
 
 
-def check_path(name: str, overrides: Mapping[str, Any] | None = None) -> list[str]:
+def check_path(name: str, overrides: Mapping[str, Any] | None = None) -> list[Fact]:
     """Check a scene or a sweep (path or shipped name; ``overrides`` change keys of the scene), a
     calibration file, OpenCV's file of a camera, a result folder or a dataset.
 
@@ -43,13 +43,13 @@ def check_path(name: str, overrides: Mapping[str, Any] | None = None) -> list[st
     RecipeError, InputError
         Something is wrong with it, or there is no scene that overrides could change.
     """
-    lines = _check_other(Path(name))
-    if lines is not None and overrides:
+    facts = _check_other(Path(name))
+    if facts is not None and overrides:
         raise InputError(f"{name}: -s {min(overrides)}=... changes a scene, and this is none")
-    return _check_recipe(name, overrides) if lines is None else lines
+    return _check_recipe(name, overrides) if facts is None else facts
 
 
-def _check_other(path: Path) -> list[str] | None:
+def _check_other(path: Path) -> list[Fact] | None:
     """Check what is no recipe; None for a recipe."""
     if (path / "meta" / "info.json").is_file():
         from twin.study.dataset.audit import check_dataset
@@ -61,28 +61,31 @@ def _check_other(path: Path) -> list[str] | None:
         from twin.sense.calibration import read_calibration
 
         calibration = read_calibration(path)
-        return [
-            f"{path}: calibration of {len(calibration.site_mm)} sites, "
-            f"{len(calibration.transfer) // 2} markers: ok"
-        ]
+        sizes = {"sites": len(calibration.site_mm), "markers": len(calibration.transfer) // 2}
+        text = "calibration of {sites} sites, {markers} markers: ok"
+        return [fact(str(path), text, sizes, ": ")]
     if path.suffix.lower() in (".yaml", ".yml", ".json"):
         from twin.study.intrinsics import read_intrinsics
 
         keys = read_intrinsics(path).items()
-        values = {key: list(value) if isinstance(value, tuple) else value for key, value in keys}
-        lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]
-        return [f'{path}: ok; [camera] intrinsics = "{path.name}" in a recipe means', *lines]
+        means = f'ok; [camera] intrinsics = "{path.name}" in a recipe means'
+        values = [fact(key, json.dumps(value), {"value": value}, " = ") for key, value in keys]
+        return [fact(str(path), means, mark=": "), *values]
     return None
 
 
-def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[str]:
+def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[Fact]:
     from twin.study.sensor import Sensor
 
     file = find_scene(name)
     if file.suffix == ".toml" and "axes" in read_recipe(file):
-        from twin.study.sweep.sweep_run import looked_over
+        from twin.study.sweep.designs import load_sweep
+        from twin.study.sweep.sweep_run import estimate
 
-        return looked_over(file, overrides)
+        return [
+            fact(str(file), "ok", mark=": "),
+            *estimate(*load_sweep(file, overrides), workers=0),
+        ]
     scene = load_scene(name, overrides)
     sensor = Sensor(scene)
     sensor.actual  # noqa: B018  refuses a marker outside the body
@@ -94,12 +97,14 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[str]:
         for press in (scene.press, *scene.press.also):
             Approach.of_press(press, scene.body)
     _mesh_own_body(scene)
-    lines = [f"{file}: ok"]
-    lines += [f"warning: {doubt}" for doubt in (*doubts(scene), *_check_dataset(scene))]
-    bare = _unsourced(scene)
-    if bare:
-        lines.append(f"numbers without source or assumed: {', '.join(bare)}")
-    return lines
+    warnings = (*doubts(scene), *_check_dataset(scene))
+    facts = [
+        fact(str(file), "ok", mark=": "),
+        *(fact("warning", doubt, mark=": ") for doubt in warnings),
+    ]
+    if bare := ", ".join(_unsourced(scene)):
+        facts.append(fact("numbers without source or assumed", bare, mark=": "))
+    return facts
 
 
 def _check_dataset(scene: Scene) -> list[str]:
@@ -131,44 +136,30 @@ def _unsourced(part: Part, path: str = "") -> list[str]:
     found = [f"{path}{key}" for key in part.unsourced()]
     for key in type(part).model_fields:
         value = getattr(part, key)
-        named = (
-            value.items()
-            if isinstance(value, dict)
-            else enumerate(value)
-            if isinstance(value, tuple)
-            else ()
-        )
-        children = {f"{key}.{name}": child for name, child in named} if named else {key: value}
-        for name, child in children.items():
+        named = dict(enumerate(value)) if isinstance(value, tuple) else value
+        children = named.items() if isinstance(named, dict) else [("", value)]
+        for name, child in children:
             if isinstance(child, Part):
-                found += _unsourced(child, f"{path}{name}.")
+                found += _unsourced(child, f"{path}{key}.{name}".strip(".") + ".")
     return found
 
 
-def _check_results(folder: Path) -> list[str]:
-    lines = []
+def _check_results(folder: Path) -> list[Fact]:
+    facts = []
     if (folder / "scene.toml").is_file():
-        lines += check_path(str(folder / "scene.toml"))[:1]
+        facts += check_path(str(folder / "scene.toml"))[:1]
     # Without a truth, the recipe alone is checked.
     truth_file = folder / "truth.npz"
     if not truth_file.is_file():
-        if lines:
-            return lines
+        if facts:
+            return facts
         raise InputError(
             f"{folder}: holds neither scene.toml nor truth.npz, so it is no result folder"
         )
     try:
-        truth = read_arrays(
-            truth_file, ("total_force_n", "surface_force_n", "marker_displacement_mm")
-        )
-        total, pieces, displacement = (
-            _vectors(truth[name], axes)
-            for name, axes in (
-                ("total_force_n", 1),
-                ("surface_force_n", 2),
-                ("marker_displacement_mm", 2),
-            )
-        )
+        axes = {"total_force_n": 1, "surface_force_n": 2, "marker_displacement_mm": 2}
+        truth = read_arrays(truth_file, tuple(axes))
+        total, pieces, displacement = (_vectors(truth[name], axes[name]) for name in axes)
     except KeyError as problem:
         raise InputError(f"{truth_file}: holds no {problem}; run the scene again") from None
     except (OSError, ValueError) as problem:
@@ -181,11 +172,9 @@ def _check_results(folder: Path) -> list[str]:
         )
     if not np.isfinite(displacement).all():
         raise RecipeError("marker_displacement_mm is not finite", str(truth_file))
-    return [
-        *lines,
-        f"{truth_file}: forces balance to {miss:.1e} N, {len(displacement)} displacements "
-        f"finite: ok",
-    ]
+    text = "forces balance to {balance_n:.1e} N, {displacements} displacements finite: ok"
+    sizes = {"balance_n": miss, "displacements": len(displacement)}
+    return [*facts, fact(str(truth_file), text, sizes, ": ")]
 
 
 def _vectors(array: np.ndarray, axes: int) -> Floats:
@@ -297,8 +286,8 @@ TOUCHED, TOUCHED_MARKERS = 8.0, 3
 such markers are no accident of dust or glint."""
 
 
-def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
-    """Return lines about a camera, the last one whether it is good enough and why not.
+def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
+    """Return facts about a camera, the last one whether it is good enough and why not.
 
     Two exposures of a sensor that nothing touches differ by noise alone, so the motion that the
     tracker finds between them is its error, to be compared with the one that it states.
@@ -387,18 +376,24 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
             f"{int(moved.sum())} markers moved against the others, by up to {alone.max():.2g} px: "
             "did something touch the sensor in one of the pictures?"
         )
+    size = {"seen": int(seen.sum()), "markers": len(seen), "width_px": width}
+    light = {"noise_counts": noise, "saturated_pct": 100 * full}
+    shift = {"measured_px": measured, "stated_px": stated}
+    pixels = "errors {ratio:.2g} times as large as from noise in single pixels"
+    dark = "{noise_counts:.2g} counts, {saturated_pct:.2g} % of the pixels saturated"
+    sds = "{measured_px:.2g} px measured, {stated_px:.2g} px stated (standard deviation)"
     return [
-        f"markers     {int(seen.sum())} of {len(seen)} found, {width:.3g} px wide",
-        f"noise       {noise:.2g} counts, {100 * full:.2g} % of the pixels saturated",
-        f"blur        {blur:.2g} px (standard deviation, lens and pixel)",
-        f"compression: errors {coherence:.2g} times as large as from noise in single pixels",
-        f"shifts      {measured:.2g} px measured, {stated:.2g} px stated (standard deviation)",
+        fact("markers", "{seen} of {markers} found, {width_px:.3g} px wide", size),
+        fact("noise", dark, light),
+        fact("blur", "{blur_px:.2g} px (standard deviation, lens and pixel)", {"blur_px": blur}),
+        fact("compression", pixels, {"ratio": coherence}, ": "),
+        fact("shifts", sds, shift),
         *_force_noise(sensor.nominal, found),
-        f"good enough: {'no: ' + '; '.join(problems) if problems else 'yes'}",
+        fact("good enough", "no: " + "; ".join(problems) if problems else "yes", mark=": "),
     ]
 
 
-def _force_noise(scene: Scene, found: Found) -> list[str]:
+def _force_noise(scene: Scene, found: Found) -> list[Fact]:
     """Return what a total force is known to; nothing where the scene reconstructs none."""
     from twin.sense.reconstruct import reconstruct
     from twin.study.calibrate import calibration_of
@@ -409,8 +404,9 @@ def _force_noise(scene: Scene, found: Found) -> list[str]:
     design = scene.calibration.model_copy(update={"method": "compliance"})
     nominal = Sensor(scene.model_copy(update={"calibration": design}))
     field = reconstruct(found, calibration_of(nominal))
-    x, y, z = field.sd_total_n
-    return [f"force       Fx {x:.2g}, Fy {y:.2g}, Fz {z:.2g} N of noise in a total without load"]
+    sds = dict(zip(("fx_n", "fy_n", "fz_n"), field.sd_total_n.tolist(), strict=True))
+    text = "Fx {fx_n:.2g}, Fy {fy_n:.2g}, Fz {fz_n:.2g} N of noise in a total without load"
+    return [fact("force", text, sds)]
 
 
 def _saturated(picture: Picture) -> float:

@@ -32,25 +32,8 @@ LEAST_DOTS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Pad:
-    """What a maker knows of a pad; what is None follows from the size.
-
-    Attributes
-    ----------
-    size_mm
-        Along x, along y, and thickness.
-    modulus_mpa
-        Young's modulus.
-    depth_mm, pitch_mm, diameter_mm
-        Of the dots, a number a layer; one or two layers.
-    camera_mm
-        From the back of the pad to the lens.
-    fov_deg
-        Full angle of the picture's width, in air.
-    sensor_mm, focal_mm
-        Width of the camera's chip and focal length of its lens, instead of ``fov_deg``.
-    resolution
-        Width and height of the picture, px.
-    """
+    """What a maker knows of a pad, as `twin.commands.scenes` explains it; of the dots a number a
+    layer. What is None follows from the size."""
 
     size_mm: tuple[float, float, float] = (25.0, 25.0, 4.0)
     modulus_mpa: float = 0.2

@@ -19,6 +19,7 @@ import numpy as np
 
 from twin.arrays import Floats
 from twin.errors import RecipeError
+from twin.files import Fact, fact
 from twin.parts.camera import Ccd
 from twin.world.picture.ccd import Pattern, expose
 
@@ -87,32 +88,40 @@ class _PhotonTransfer:
         least = np.sqrt(self.dark_noise_e**2 + _ROUNDING_DN2 / self.gain_dn_e**2 + 0.25) + 0.5
         return float(self.saturation_e / least)
 
-    def lines(self, ccd: Ccd) -> list[str]:
-        """Return what was found of a CCD, and what the recipe states of it, a line each."""
+    def facts(self, ccd: Ccd) -> list[Fact]:
+        """Return what was found of a CCD, and what the recipe states of it."""
         full = ccd.spelt_out()
         assert full.full_well_e is not None
         black = _black_dn(ccd)
         gain = (2**ccd.bits - 1) * (1 - black / 255) / full.full_well_e
         spread = np.hypot(full.dsnu_e or 0.0, full.column_noise_e)
         enough = self.dark_variance_dn2 >= LEAST_DARK_DN2
-        measured = f"{self.dark_noise_e:.3g}" if enough else "unknown"
-        below = (
-            f"{20 * np.log10(self.dynamic_range):.3g} dB" if enough else "unknown, as dark noise is"
+        dark = (
+            f"{'{noise_e:.3g}' if enough else 'unknown'} electrons, stated {{stated_e:.3g}}; "
+            f"variance {{variance_dn2:.3g}} counts^2 with rounding, needed {LEAST_DARK_DN2:g}: "
+            f"{'enough' if enough else 'too little, hidden by rounding'}"
         )
+        pattern = (
+            f"PRNU {{prnu_pct:.2g}} %, stated {full.prnu_pct:.2g}; "
+            f"DSNU {{dsnu_e:.2g}} electrons, stated {spread:.2g}"
+        )
+        counts = "{dn_e:.4g} counts an electron, stated {stated_dn_e:.4g} at black level {black:g}"
+        electrons = f"{{full_e:.4g}} electrons, stated {full.full_well_e:.4g}"
+        decibels = "{db:.3g} dB" if enough else "unknown, as dark noise is"
+        about = "bits, by EMVA 1288: without lens, mosaic, gamma, video, compression"
+        noise = {"noise_e": self.dark_noise_e, "variance_dn2": self.dark_variance_dn2}
+        spreads = {"prnu_pct": self.prnu_pct, "dsnu_e": self.dsnu_e}
+        signal = {"ratio": self.snr_max, "db": 20 * np.log10(self.snr_max)}
+        line = {"deviation_pct": self.linearity_pct}
         return [
-            f"chip        {full.preset}, {ccd.bits} bits, by EMVA 1288: without lens, mosaic, "
-            "gamma, video, compression",
-            f"gain        {self.gain_dn_e:.4g} counts an electron, stated {gain:.4g} "
-            f"at black level {black:g}",
-            f"dark noise  {measured} electrons, stated {_dark_e(ccd):.3g}; variance "
-            f"{self.dark_variance_dn2:.3g} counts^2 with rounding, needed {LEAST_DARK_DN2:g}: "
-            f"{'enough' if enough else 'too little, hidden by rounding'}",
-            f"saturation  {self.saturation_e:.4g} electrons, stated {full.full_well_e:.4g}",
-            f"SNR         {self.snr_max:.3g} at most ({20 * np.log10(self.snr_max):.3g} dB)",
-            f"dynamic range {below}",
-            f"linearity   {self.linearity_pct:.2g} % mean deviation from a line",
-            f"pattern     PRNU {self.prnu_pct:.2g} %, stated {full.prnu_pct:.2g}; "
-            f"DSNU {self.dsnu_e:.2g} electrons, stated {spread:.2g}",
+            fact("chip", f"{full.preset}, {ccd.bits} {about}"),
+            fact("gain", counts, {"dn_e": self.gain_dn_e, "stated_dn_e": gain, "black": black}),
+            fact("dark noise", dark, noise | {"stated_e": _dark_e(ccd)}),
+            fact("saturation", electrons, {"full_e": self.saturation_e}),
+            fact("SNR", "{ratio:.3g} at most ({db:.3g} dB)", signal),
+            fact("dynamic range", decibels, {"db": 20 * np.log10(self.dynamic_range)}, " "),
+            fact("linearity", "{deviation_pct:.2g} % mean deviation from a line", line),
+            fact("pattern", pattern, spreads),
         ]
 
 

@@ -81,22 +81,9 @@ def reconstruct_recording(
     """Reconstruct recorded frames: yield a line and a record of each and lines of a summary, write
     table and drawings.
 
-    Parameters
-    ----------
-    rest, sources, calibration
-        The picture without load, or a folder with one for each group of LEDs that take turns;
-        files, folders, videos, or "-" for a pipe; and the calibration's file.
-    out, overlay
-        Table (its suffix is one of `TABLES`), and frames with the motion drawn in (a .png, a folder
-        of them, or a video).
-    size, layout
-        ``WxH`` and format of raw frames.
-    frames_per_second, times
-        Rate of the frames, or a CSV file with the columns frame, time_s: forces of rubber that
-        relaxes. At a rate of 0 each frame is read by itself.
-    options
-        Of `twin.sense.reconstruct.reconstruct`; None is the calibration's recipe, also for the
-        rate.
+    `twin.commands.reconstruct` explains the arguments (``layout`` is its ``format``). ``options``
+    are those of `twin.sense.reconstruct.reconstruct`; None is the calibration's recipe, also for
+    the rate.
 
     Raises
     ------

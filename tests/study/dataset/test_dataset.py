@@ -35,7 +35,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_finished_dataset_passes_its_check_and_has_what_was_asked_for(made: Path) -> None:
-    assert "checksums and schema ok" in check_path(str(made))[0]
+    assert "checksums and schema ok" in check_path(str(made))[0][0]
     data = twin.open_dataset(made)
     assert len(data) == 4
     assert set(NO_PICTURE) < set(data.columns)
@@ -113,7 +113,7 @@ def test_a_body_without_markers_is_no_trouble_and_columns_that_are_always_there_
     scene = twin.load_scene("block_bare", {"press": press, "vary": vary, "dataset.columns": columns})
     assert make(folder, 2, scene).failed == 0
     assert twin.open_dataset(folder)[1]["marker_displacement_mm"].shape == (0, 3)
-    assert "no columns whose forces should balance, no columns to project" in check_path(str(folder))[-1]
+    assert "no columns whose forces should balance, no columns to project" in check_path(str(folder))[-1][0]
 
 
 def test_a_probes_own_file_travels_with_the_dataset_wherever_it_lay(tmp_path: Path) -> None:
@@ -406,12 +406,13 @@ def test_time_is_estimated_from_cpu_seconds_of_samples_and_sensors(monkeypatch: 
     monkeypatch.setattr(create, "time", SimpleNamespace(process_time=lambda: cpu[0]))
     monkeypatch.setattr(create, "make_shard", takes(14.0, 8.0, 11.0))  # begins, goes on, goes on with a new sensor
     monkeypatch.setattr(create, "audit_sample", takes(2.0))
-    told = create.estimate(small_scene(columns=("force_n",)), 300, workers=2)
+    told, records = zip(*create.estimate(small_scene(columns=("force_n",)), 300, workers=2), strict=True)
     assert "300 on 100 sensors, in 150 files" in told[0]
-    assert "about 8 min with 2 workers" in told[-1]  # 6 + (300 x 2 + 99 x 3 + 3 x 2) / 2 s
+    assert "about 8 min with 2 workers" in told[-1]
     assert "2 s of CPU a sample" in told[-1]
     assert "6 s to begin, 3 s for each further sensor" in told[-1]
-    few = create.estimate(small_scene(columns=("force_n",), vary={}), 3)
+    assert records[-1]["seconds"] == 6 + (300 * 2 + 99 * 3 + 3 * 2) / 2
+    few = [line for line, _ in create.estimate(small_scene(columns=("force_n",), vary={}), 3)]
     assert "about 14 s with 1 worker" in few[-2]
     assert "the same one" in few[-1]
 

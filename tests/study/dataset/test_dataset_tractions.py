@@ -51,7 +51,7 @@ def test_given_tractions_move_the_markers_as_a_sensor_under_that_load_says(made:
         assert off < 1e-3, "the load is gathered into point forces, each footprint by itself"
         np.testing.assert_allclose(sample["force_n"], np.sum([each.force_n for each in given], axis=0), atol=1e-9)
         np.testing.assert_allclose(sample["site_force_n"].sum(axis=0), sample["force_n"], atol=1e-9)
-    assert "checksums and schema ok" in check_dataset(made)[0]
+    assert "checksums and schema ok" in check_dataset(made)[0][0]
 
 
 def test_the_same_samples_whatever_the_files_and_a_sheet_of_them(made: Path, tmp_path: Path) -> None:

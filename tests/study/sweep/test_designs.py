@@ -11,11 +11,12 @@ from small_sweep import TABLE, small
 from twin.errors import InputError, RecipeError
 from twin.files import SCENES
 from twin.parts.sweep import Sweep
+from twin.study.check import check_path
 from twin.study.recipe import shipped_scenes
 from twin.study.sweep.designs import Designs, load_sweep
 from twin.study.sweep.fidelities import closed
 from twin.study.sweep.loads import Bodies
-from twin.study.sweep.sweep_run import estimate, looked_over
+from twin.study.sweep.sweep_run import estimate
 from twin.theory.limit import Limit
 from twin.theory.optics import project_with_jacobian
 
@@ -153,7 +154,7 @@ def test_shipped_sweeps_are_sound_and_are_not_scenes(tmp_path: Path) -> None:
     assert {"sweep_kamiyama_depth_pitch", "sweep_sato_pitch_diameter", "sweep_lens", "sweep_youngs_modulus"} <= shipped
     assert not shipped & set(shipped_scenes())
     for name in shipped:
-        assert looked_over(Path(name))[0] == f"{name}: ok"
+        assert check_path(name)[0][1]["found"] == "ok"
         sweep, scene = load_sweep(name)
         designs = Designs.of(sweep, scene)
         assert (closed(designs)[1] == "").any()

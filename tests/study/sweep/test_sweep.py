@@ -249,13 +249,13 @@ def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(tmp_path, mo
     monkeypatch.setattr(sweep_run, "time", clock)
     monkeypatch.setattr(sweep_run, "linear", row)
     monkeypatch.setattr(sweep_run, "cache_folder", lambda: tmp_path)
-    told = sweep_run.estimate(*small(), workers=2)[-1]
+    told = sweep_run.estimate(*small(), workers=2)[-1][0]
     assert "6 designs, about 9 s with 2 workers" in told
     assert "2 s of CPU a design (an estimate from 4 designs), 3 s to begin" in told
-    alone = sweep_run.estimate(*small(axes={"markers.*.pitch_mm": [1.5]}, derived={}))[-1]
+    alone = sweep_run.estimate(*small(axes={"markers.*.pitch_mm": [1.5]}, derived={}))[-1][0]
     assert "1 design, about 5 s with 1 worker," in alone
     spent = cpu[0]
-    again = sweep_run.estimate(*small(), workers=2)[-1]
+    again = sweep_run.estimate(*small(), workers=2)[-1][0]
     assert "2 s of CPU a design (an estimate from 4 designs, made before), 3 s to begin" in again
     assert cpu[0] == spent
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.arrays import Progress
 from twin.errors import InputError, RecipeError
+from twin.files import Fact, fact
 from twin.study.batch.pool import Job, Pool
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.reader import DatasetReader
@@ -54,7 +55,7 @@ BALANCE_N = 1e-6
 PROJECTION_PX = 1e-6
 
 
-def check_dataset(folder: Path) -> list[str]:
+def check_dataset(folder: Path) -> list[Fact]:
     """Check a finished dataset and return what was checked.
 
     Raises
@@ -80,7 +81,6 @@ def check_dataset(folder: Path) -> list[str]:
         raise RecipeError(problems, str(folder))
     # Some rows, evenly over the dataset: finite numbers, balance of forces, projection.
     rows = np.unique(np.linspace(0, len(reader) - 1, min(ROWS, len(reader))).astype(int))
-    lines = [f"{folder}: {len(reader)} rows, checksums and schema ok"]
     failed = 0
     balances: list[float] = []
     misses: list[float] = []
@@ -104,12 +104,16 @@ def check_dataset(folder: Path) -> list[str]:
     if problems:
         raise RecipeError(problems, str(folder))
     forces = (
-        f"forces balance to {balance:.1e} N"
+        "forces balance to {balance_n:.1e} N"
         if balances
         else "no columns whose forces should balance"
     )
-    pixels = f"projection to {miss:.1e} px" if misses else "no columns to project"
-    return [*lines, f"{len(rows)} rows read: {forces}, {pixels}, {failed} failed"]
+    pixels = "projection to {projection_px:.1e} px" if misses else "no columns to project"
+    values = {"balance_n": balance, "projection_px": miss, "failed": failed}
+    return [
+        fact(str(folder), "{rows} rows, checksums and schema ok", {"rows": len(reader)}, ": "),
+        fact(f"{len(rows)} rows read", f"{forces}, {pixels}, {{failed}} failed", values, ": "),
+    ]
 
 
 def _checksums(places: Places) -> list[str]:

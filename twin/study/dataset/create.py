@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 from twin.arrays import Progress
 from twin.blas_threads import one_thread
 from twin.errors import InputError
-from twin.files import file_digest, make_folder, write_json, write_whole
+from twin.files import Fact, fact, file_digest, make_folder, write_json, write_whole
 from twin.parts.material import Material
 from twin.parts.scene import Scene
 from twin.parts.shape import StlFile
@@ -447,8 +447,8 @@ def _lines(digests: Mapping[str, str]) -> list[str]:
 
 def estimate(
     scene: Scene, samples: int, *, workers: int = 1, progress: Progress | None = None
-) -> list[str]:
-    """Return lines about a dataset's content, its size and its time, from a few samples made here.
+) -> list[Fact]:
+    """Return facts about a dataset's content, its size and its time, from a few samples made here.
 
     Times are estimated from CPU seconds, as the clock counts other work on the machine, too.
 
@@ -480,7 +480,6 @@ def estimate(
     sensor = max(another - made, 0.0)
     shared = samples * each + (sensors - 1) * sensor + audits * again
     size += len(shard.samples) / TRIED * samples + len(first.sensors or b"") * sensors
-    further = f", {sensor:.2g} s for each further sensor" if sensors > 1 else ""
     rows = ""
     if scene.dataset.every_step:
         import pyarrow as pa
@@ -488,22 +487,29 @@ def estimate(
 
         tried_rows = pq.read_metadata(pa.BufferReader(shard.samples)).num_rows
         rows = f" of {tried_rows / TRIED:g} rows each"
-    lines = [
-        f"samples     {samples}{rows} on {counted(sensors, 'sensor')}, in "
-        f"{counted(plan.shards, 'file')}",
-        f"columns     {', '.join(c.name for c in plan.columns)}",
-        f"varies      {', '.join(sorted(scene.vary)) or 'nothing'}",
-        f"size        about {_bytes(size)}",
-        f"time        about {_duration(start + shared / workers)} with "
-        f"{counted(workers, 'worker')}, a free core each: {each:.3g} s of CPU a sample (of {TRIED} "
-        f"tried), {again:.2g} s for each of the {audits} computed again, {start:.2g} s to begin"
-        f"{further}",
+    on = f"{counted(sensors, 'sensor')}, in {counted(plan.shards, 'file')}"
+    seconds = start + shared / workers
+    text = (
+        f"about {_duration(seconds)} with {counted(workers, 'worker')}, a free core each: "
+        f"{{sample_s:.3g}} s of CPU a sample (of {TRIED} tried), {{again_s:.2g}} s for each of the "
+        f"{audits} computed again, {{begin_s:.2g}} s to begin"
+    )
+    if sensors > 1:
+        text += ", {sensor_s:.2g} s for each further sensor"
+    times = {"seconds": seconds, "sample_s": each, "again_s": again, "begin_s": start}
+    times |= {"sensor_s": sensor}
+    facts = [
+        fact("samples", f"{samples}{rows} on {on}", {"sensors": sensors, "files": plan.shards}),
+        fact("columns", ", ".join(c.name for c in plan.columns)),
+        fact("varies", ", ".join(sorted(scene.vary)) or "nothing"),
+        fact("size", f"about {_bytes(size)}", {"bytes": size}),
+        fact("time", text, times),
     ]
     if plan.alike:
-        lines.append(f"warning     {plan.alike}")
+        facts.append(fact("warning", plan.alike))
     if shard.failed:
-        lines.append(f"failures    {shard.failed} of {TRIED} tried: {shard.reason}")
-    return lines
+        facts.append(fact("failures", f"{shard.failed} of {TRIED} tried: {shard.reason}"))
+    return facts
 
 
 def _timed(work: Callable[..., T], *arguments: Any) -> tuple[T, float]:

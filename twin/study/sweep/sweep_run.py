@@ -41,7 +41,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Progress
 from twin.blas_threads import one_thread
 from twin.errors import InputError, RecipeError, TwinError
-from twin.files import cache_folder, kept_if_possible, write_json, write_whole
+from twin.files import Fact, cache_folder, fact, kept_if_possible, write_json, write_whole
 from twin.parts.scene import Scene
 from twin.parts.sweep import FIDELITIES, METRICS, Sweep
 from twin.study.batch.draw import SceneTable
@@ -54,7 +54,7 @@ from twin.study.batch.pool import (
 )
 from twin.study.doubts import View
 from twin.study.recipe import load_scene
-from twin.study.sweep.designs import Designs, load_sweep
+from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import Shown, closed, cost, full, linear, resolved_by_sites
 from twin.study.sweep.loads import REGION, Bodies, Pushes
 
@@ -730,25 +730,28 @@ def _scored(sweep: Sweep, designs: Designs, stage: str, runner: _Runner) -> Floa
     return np.where(ok & np.isfinite(score), np.minimum(score, WORST / 2), WORST)
 
 
-def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[str]:
-    """Return lines on what a sweep would do and how long it takes, from the CPU seconds of a few
-    designs; `RecipeError` where it can't be run."""
-    lines, good, designs = _overview(sweep, scene)
+def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[Fact]:
+    """Return what a sweep would do and, unless ``workers`` is 0, how long it takes, from the CPU
+    seconds of a few designs; `RecipeError` where it can't be run."""
+    facts, good, designs = _overview(sweep, scene)
     left = len(good)
-    for stage in sweep.ladder:
+    for stage in sweep.ladder if workers else ():
         if stage == "closed" or not left:
             continue
         most = sweep.confirm.linear if stage == "linear" else sweep.confirm.full
         left = min(left, most) if most and stage != sweep.ladder[0] else left
         each, start, rows, how = _measured(sweep, scene, stage, good, designs)
-        lines.append(
-            f"{stage:11s} {counted(left, 'design')}, about {start + left * each / workers:.3g} s "
-            f"with {counted(workers, 'worker')}, a free core each: {each:.3g} s of CPU a design "
-            f"({how}), {start:.2g} s to begin"
+        text = (
+            f"{counted(left, 'design')}, about {{seconds:.3g}} s with {counted(workers, 'worker')}"
+            f", a free core each: {{design_s:.3g}} s of CPU a design ({how}), {{begin_s:.2g}} s to "
+            "begin"
         )
-        bad = Counter(f"{row['status']}: {row['error']}" for row in rows if row["status"] != "ok")
-        lines += [f"            {count} of {len(rows)} tried {why}" for why, count in bad.items()]
-    return lines
+        times = {"seconds": start + left * each / workers, "design_s": each, "begin_s": start}
+        facts.append(fact(stage, text, {"designs": left, **times}))
+        bad = Counter((row["status"], row["error"]) for row in rows if row["status"] != "ok")
+        for (status, why), count in bad.items():
+            facts.append(fact(f"{'':12s}{count} of {len(rows)} tried {status}", why, mark=": "))
+    return facts
 
 
 def _measured(
@@ -783,37 +786,33 @@ def _measured(
     return each, begin, rows, how
 
 
-def looked_over(path: Path, overrides: Mapping[str, Any] | None = None) -> list[str]:
-    """Return lines about a sweep file in which nothing is wrong; raises like `estimate`."""
-    sweep, scene = load_sweep(path, overrides)
-    lines, good, designs = _overview(sweep, scene)
-    if len(good):
-        designs.scene_of(int(good[0]))
-    return [f"{path}: ok", *lines]
-
-
-def _overview(sweep: Sweep, scene: Scene) -> tuple[list[str], Ints, Designs]:
-    """Return lines about a sweep's designs, the numbers of those that are possible, and all."""
+def _overview(sweep: Sweep, scene: Scene) -> tuple[list[Fact], Ints, Designs]:
+    """Return facts about a sweep's designs, the numbers of those that are possible, and all."""
     _check(sweep, scene)
     designs = Designs.of(sweep, scene)
     found = closed(designs)[1]
     good = np.flatnonzero(found == "")
-    lines = [
-        f"designs     {len(designs)} ({sweep.sampling}) over {', '.join(sweep.axes)}",
-        f"dropped     {len(designs) - len(good)} before anything is solved",
+    if len(good):
+        designs.scene_of(int(good[0]))
+    over = f"{len(designs)} ({sweep.sampling}) over {', '.join(sweep.axes)}"
+    dropped = len(designs) - len(good)
+    facts = [
+        fact("designs", over, {"designs": len(designs)}),
+        fact("dropped", "{dropped} before anything is solved", {"dropped": dropped}),
     ]
     for reason in sorted({str(r) for r in found if r}):
-        lines.append(f"            {int((found == reason).sum())}: {reason}")
+        facts.append(fact(f"{'':12s}{int((found == reason).sum())}", reason, mark=": "))
     target = sweep.targets.get("two_point_mm")
     swept = designs.swept("reconstruction.sites.pitch_mm")
     if target is not None and scene.reconstruction and not swept and not sweep.loads.probe:
         least = resolved_by_sites(scene.reconstruction.sites, sweep.loads)
         if least > target:
-            lines.append(
-                f"warning     targets.two_point_mm = {target:g} can't be met: "
-                f"the sites resolve two points from {least:.3g} mm on; {_finer_sites(target)}"
+            text = (
+                f"targets.two_point_mm = {target:g} can't be met: the sites resolve two points "
+                f"from {least:.3g} mm on; {_finer_sites(target)}"
             )
-    return lines, good, designs
+            facts.append(fact("warning", text))
+    return facts, good, designs
 
 
 def _write_table(folder: Path, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> None:
