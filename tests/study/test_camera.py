@@ -141,6 +141,9 @@ def test_pictures_that_say_nothing_are_refused(tmp_path):
         check_camera(name, name, twin.load_scene("kamiyama_pillar"))
     with pytest.raises(RecipeError, match="no \\[camera\\]"):
         check_camera(name, name, twin.load_scene("block_bare"))
+    Image.fromarray(np.full((240, 320, 3), 30, np.uint8)).save(tmp_path / "small.png")
+    with pytest.raises(InputError, match=r"rest\.png, .*small\.png: "):
+        check_camera(name, tmp_path / "small.png", twin.load_scene("kamiyama_pillar"))
 
 
 # --- emva 1288 of the program's own flat fields, against the electrons that presets and recipes state

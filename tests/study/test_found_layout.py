@@ -103,6 +103,13 @@ def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, monkeypatch, says
     near = tmp_path / "near.toml"
     near.write_text(f'base = "gelpad_press"\ncamera.pupil_mm = [0, 0, {place_mm - 6}]\n')
     assert float(says(0, *made, str(near)).split("z of about ")[1].split()[0]) == pytest.approx(place_mm, abs=0.3)
+    # Dots off by more than half a pitch, and a lens whose axis is off the picture's middle, which moves no dot.
+    off = {"camera.principal_px": [331.5, 239.5], "camera.tilt_deg": [0, 0, 4], "markers.dots.offset_mm": [0.8, 0]}
+    Image.fromarray(twin.Sensor(twin.load_scene("gelpad_press", off)).picture(None)).save(tmp_path / "off.png")
+    made[2] = str(tmp_path / "off.png")
+    says(0, *made, "gelpad_press", "-s", "camera.principal_px=[331.5, 239.5]")
+    moved = tomllib.loads((tmp_path / "m.toml").read_text())["markers"]["dots"]["offset_mm"]
+    assert np.subtract(moved, table["offset_mm"]) == pytest.approx([0.8, -0.056], abs=0.02), "turned by 4 deg"
     # Without --out the camera is told and the tables that the pitch made stay as they are.
     monkeypatch.chdir(tmp_path)
     there = set(tmp_path.iterdir())

@@ -97,6 +97,9 @@ def test_one_scene_is_ten_lines_long() -> None:
         ("press.move_mm", {"z": 1}, ["press.move_mm", "belongs to a step", "{move_mm = {z = 1}}]"]),
         ("press.seconds", 1, ["press.seconds", "belongs to a step", "{seconds = 1}]"]),
         ("picture.noise", 1, ["picture: unknown key"]),
+        ("body", {}, ["body: give a table with shape = 'block'"]),
+        ("camera.intrinsics", 3, ["camera.intrinsics: ", "3: can't be read"]),
+        ("camera.intrinsics", "no.yml", ["camera.intrinsics: ", "no.yml: can't be read"]),
         ("body.shape", "cube", ["body.shape", "'cube'", "'block'"]),
         ("camera.fov_deg", 39, ["give focal_px", "--fov-deg"]),
         ("ccd.preset", "idael", ["ccd.preset", "'ideal'"]),
@@ -107,6 +110,7 @@ def test_a_wrong_value_is_named_with_what_is_allowed(key: str, value: object, ex
     with pytest.raises(RecipeError) as caught:
         load_scene("kamiyama_pillar", {key: value})
     assert all(word in str(caught.value) for word in ["override of kamiyama_pillar: ", *expected]), str(caught.value)
+    assert len(caught.value.problems) == 1
 
 
 def test_all_problems_of_a_file_come_at_once() -> None:

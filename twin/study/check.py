@@ -290,21 +290,13 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
     """Return facts about a camera, the last one whether it is good enough and why not.
 
     Two exposures of a sensor that nothing touches differ by noise alone, so the motion that the
-    tracker finds between them is its error, to be compared with the one that it states.
-
-    Parameters
-    ----------
-    first, second
-        Pictures of the sensor without load: PNG, BMP or JPEG.
-    scene
-        The sensor's nominal design, with ``[camera]``.
+    tracker finds between them is its error, to be compared with the one that it states. The scene
+    is the sensor's nominal design.
 
     Raises
     ------
-    RecipeError
-        The scene has no camera.
-    InputError
-        Pictures that can't be used: of another size, the same picture twice, without markers.
+    RecipeError, InputError
+        No camera in the scene; pictures of another size, the same one twice, without markers.
     """
     from twin.sense.centre import COHERENT
     from twin.sense.disc_fit import DiscFit
@@ -319,8 +311,11 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
     one, two = read_picture(first), read_picture(second)
     if np.array_equal(one, two):
         raise InputError(f"{second}: is the same picture as {first}: expose the sensor twice")
-    rest = analyse_rest(one, sensor.layout_px)
-    found = track_frame(rest, two, np.zeros_like(rest.rest_px))
+    try:
+        rest = analyse_rest(one, sensor.layout_px)
+        found = track_frame(rest, two, np.zeros_like(rest.rest_px))
+    except InputError as problem:
+        raise InputError(f"{first}, {second}: {problem}") from None
     seen = found.seen
     if seen.sum() < 2:
         raise InputError(

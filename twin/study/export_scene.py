@@ -15,13 +15,8 @@ _LED_MM = 1.0
 
 
 def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> list[Path]:
-    """Write a scene in Mitsuba's format into the folder ``out`` and return the XML files.
-
-    Raises
-    ------
-    RecipeError
-        The scene has no camera, or one that stock Mitsuba lacks.
-    """
+    """Write a scene in Mitsuba's format into the folder ``out`` and return the XML files;
+    `RecipeError` without a camera, or with one that stock Mitsuba lacks."""
     from twin.world.picture.render import Renderer
     from twin.world.picture.stock_scene import check_stock, write_stock_scene
 

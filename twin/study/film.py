@@ -311,10 +311,8 @@ def film_to_folder(
 ) -> str:
     """Film a scene's press; return a few lines about it.
 
-    ``folder`` gets ``rest.png``, ``frames/000000.png`` and so on (with ``h264`` ``frames.mp4``),
-    their truth in ``truth.npz`` (see `_truth`), and ``scene.toml``. Where LEDs take turns, a rest
-    picture of each group lies in ``rest`` instead. An interrupt keeps the frames
-    so far, and their truth; a killed process keeps the truth of most of them, but no video. With
+    `twin.commands.run` lists the files; of the truth see `_truth`. An interrupt keeps the frames so
+    far, and their truth; a killed process keeps the truth of most of them, but no video. With
     ``h264`` the rest picture is encoded, too: halved colours move coloured markers by .2 px.
 
     Raises

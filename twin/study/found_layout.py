@@ -46,27 +46,12 @@ def layout_to_files(
     depth_mm: Sequence[float] = (),
     scene: Scene | None = None,
 ) -> str:
-    """Find the markers of a rest picture; write their tables (.toml) and an overlay (.png).
+    """Find the markers of a rest picture; write their tables (.toml) and an overlay (.png) unless
+    these are None; return a line for every layer, and where the files are.
 
-    Parameters
-    ----------
-    picture
-        Rest picture: PNG, BMP or JPEG.
-    out, overlay
-        Not written where they are None.
-    pitch_mm, depth_mm
-        One for all layers, or one each, in the order of the lines that are returned.
-    scene
-        The sensor's design, which gives names, depths and the scale instead.
-
-    Returns
-    -------
-    A line for every layer, and where the files are.
-
-    Raises
-    ------
-    InputError
-        The picture shows no dots, or no lattice; other files or numbers that can't be used.
+    Pitches and depths are one for all layers, or one each, in the order of these lines; or the
+    scene, the sensor's design, gives names, depths and the scale. `InputError` for a picture
+    without a lattice of dots, and for files or numbers that can't be used.
     """
     for option, path, suffix in (("out", out, ".toml"), ("overlay", overlay, ".png")):
         if path is not None and path.suffix.lower() != suffix:
@@ -204,7 +189,9 @@ def _drawn(found: FoundLayout, scene: Scene) -> list[_Drawn]:
         steps = [np.linalg.norm(np.diff(nominal, axis=k), axis=-1).ravel() for k in (0, 1)]
         per_px = own.pitch_mm / float(np.mean(np.concatenate(steps)))
         width = layer.diameter_px / float(np.median(view.diameter_px[rows]))
-        x, y = np.median(layer.centre_px - places[number][row[number][1]], axis=0) * per_px
+        seen = places[number]  # all of them, or those that are nearest: then off by pitches, too
+        seen = seen if len(layer) == len(seen) else seen[row[number][1]]
+        x, y = (layer.centre_px.mean(axis=0) - seen.mean(axis=0)) * per_px
         drawn.append(
             _Drawn(
                 name=names[number],
@@ -258,7 +245,8 @@ def _table(layer: FoundLayout.Layer, own: _Drawn, name: str) -> list[str]:
             f"offset_mm = [{x:.2f}, {y:.2f}]",
             f'source.pitch_mm = "{own.scale}"',
             f'source.diameter_mm = "{name}, by the same scale"',
-            'assumed.offset_mm = "the camera looks at the middle of the body"',
+            "assumed.offset_mm = \"the camera looks at the body's middle; without --scene through "
+            "the picture's, not principal_px\"",
         ]
     lines += [
         f"columns = {layer.columns}",

@@ -48,12 +48,7 @@ class Pad:
 
     def write(self, path: Path) -> tuple[Path, list[str]]:
         """Write a recipe; return its file, and lines about it with what is unlikely in it.
-
-        Raises
-        ------
-        InputError
-            Numbers out of their range, dots that don't fit, or a file of this name.
-        """
+        `InputError` for numbers out of range, dots that don't fit, or a file of this name."""
         if not path.name:
             raise InputError(f"--new '{path}': give the name of a file, such as mine.toml")
         target = path if path.suffix == ".toml" else path.with_name(path.name + ".toml")

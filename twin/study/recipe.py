@@ -246,7 +246,7 @@ def _find_files(table: Table, path: Path, folders: Sequence[Path]) -> None:
         if isinstance(press.get("also"), list):
             press = {**press, "also": [probe_found(p, "press.also.") for p in press["also"]]}
         table["press"] = probe_found(press, "press.")
-    _read_intrinsics(table, folders)
+    _read_intrinsics(table, path, folders)
     if isinstance(table.get("vary"), dict):
         key = "vary.press.probe"
         table["vary"] = StlFile.renamed(
@@ -254,16 +254,19 @@ def _find_files(table: Table, path: Path, folders: Sequence[Path]) -> None:
         )
 
 
-def _read_intrinsics(table: Table, folders: Sequence[Path]) -> None:
+def _read_intrinsics(table: Table, path: Path, folders: Sequence[Path]) -> None:
     """Put the numbers of the camera's file of intrinsics in the place of its name."""
     camera = table.get("camera")
-    if not isinstance(camera, dict) or not isinstance(camera.get("intrinsics"), str):
+    if not isinstance(camera, dict) or "intrinsics" not in camera:
         return
     from twin.study.intrinsics import read_intrinsics
 
-    given = Path(camera["intrinsics"]).expanduser()
+    given = Path(str(camera["intrinsics"])).expanduser()
     places = [folder / given for folder in folders]
-    numbers = read_intrinsics(next(filter(Path.is_file, places), places[0]))
+    try:
+        numbers = read_intrinsics(next(filter(Path.is_file, places), places[0]))
+    except InputError as problem:
+        raise RecipeError(f"camera.intrinsics: {problem}", str(path)) from None
     camera = {key: value for key, value in camera.items() if key != "intrinsics"}
     for key, value in numbers.items():
         camera[key] = list(value) if isinstance(value, tuple) else value
@@ -381,6 +384,8 @@ def _complaints(problem: ValidationError, table: Mapping[str, Any]) -> list[str]
     """Return one line for every error of a failed validation of ``table`` as a `Scene`."""
     errors = [dict(error) for error in problem.errors(include_url=False)]
     errors = [error for error in errors if not _is_other_word(error, errors)]
+    if any(error["loc"] == ("body",) for error in errors):  # a body's recipe brings its material
+        errors = [error for error in errors if error["loc"] != ("material",)]
     return [_line(error, table) for error in _nearest(errors, table)]
 
 

@@ -218,6 +218,7 @@ def test_sites_that_hold_designs_back_are_said_and_rank_nothing(tmp_path: Path) 
     done = run_sweep(*small(**changes), tmp_path)
     assert len(done.warnings) == 1
     assert "set reconstruction.sites.pitch_mm = 0.75" in done.warnings[0]
+    assert "columns = 12 and rows = 9 (now 5 and 4) to cover the same 8 x 6 mm" in done.warnings[0]
     assert not any(note.startswith("least distance") for note in done.notes)
     write_report(done, tmp_path)
     assert "reconstruction.sites.pitch_mm = 0.75" in (tmp_path / "report.html").read_text()

@@ -56,15 +56,8 @@ PROJECTION_PX = 1e-6
 
 
 def check_dataset(folder: Path) -> list[Fact]:
-    """Check a finished dataset and return what was checked.
-
-    Raises
-    ------
-    RecipeError
-        With everything that is wrong.
-    InputError
-        It is no dataset, or it was never finished.
-    """
+    """Check a finished dataset and return what was checked; `RecipeError` with everything that is
+    wrong, `InputError` where it is no dataset, or was never finished."""
     places = Places(folder)
     info = places.read_info()
     if not places.sums.is_file():

@@ -448,15 +448,9 @@ def _lines(digests: Mapping[str, str]) -> list[str]:
 def estimate(
     scene: Scene, samples: int, *, workers: int = 1, progress: Progress | None = None
 ) -> list[Fact]:
-    """Return facts about a dataset's content, its size and its time, from a few samples made here.
-
-    Times are estimated from CPU seconds, as the clock counts other work on the machine, too.
-
-    Raises
-    ------
-    RecipeError
-        The scene can't be sampled.
-    """
+    """Return facts about a dataset's content, its size and its time, from a few samples made here
+    and their CPU seconds, as the clock counts other work on the machine, too; `RecipeError` where
+    the scene can't be sampled."""
     plan = Plan(scene, samples)
     plan.check()
     sensors = plan.sensor_of(samples - 1) + 1

@@ -98,17 +98,8 @@ def reproduce(
     quick: bool = False,
     progress: Progress | None = None,
 ) -> _Reproduced:
-    """Run the papers' experiments and write ``index.html``, ``results.json`` and an SVG for each.
-
-    Parameters
-    ----------
-    names
-        Entries (``kamiyama/table-1``), papers (``sato``) or ``all``; without any nothing is run,
-        and the lines are the list of entries with the time and memory that each takes.
-    out
-        Folder; what it holds already and still stands is not run again.
-    quick
-        One made sensor, fewer steps and no long entries, for a first look.
+    """Run the papers' experiments and write ``index.html``, ``results.json`` and an SVG for each;
+    without names, list the entries. `twin.commands.reproduce` explains the arguments.
 
     Raises
     ------

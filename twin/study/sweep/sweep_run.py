@@ -42,7 +42,7 @@ from twin.arrays import Bools, Floats, Ints, Progress
 from twin.blas_threads import one_thread
 from twin.errors import InputError, RecipeError, TwinError
 from twin.files import Fact, cache_folder, fact, kept_if_possible, write_json, write_whole
-from twin.parts.scene import Scene
+from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import FIDELITIES, METRICS, Sweep
 from twin.study.batch.draw import SceneTable
 from twin.study.batch.pool import (
@@ -597,14 +597,19 @@ def _coarse(done: Swept) -> tuple[Bools, list[str], list[str]]:
     if least <= wanted:
         finer = "finer sites under [set] would rank them"
         return coarse, [], [f"{said}. All of them reach the {wanted:.3g} mm wanted; {finer}"]
-    return coarse, [f"{said}; {_finer_sites(wanted)}"], []
+    assert done.designs.scene.reconstruction is not None
+    return coarse, [f"{said}; {_finer(done.designs.scene.reconstruction.sites, wanted)}"], []
 
 
-def _finer_sites(wanted_mm: float) -> str:
-    """Return what to set for sites that resolve what is wanted."""
+def _finer(sites: Sites, wanted_mm: float) -> str:
+    """Return what to set for sites as fine as wanted over the same area."""
+    pitch = float(f"{FINE * wanted_mm:.2g}")
+    width, length = size = 2 * np.array(sites.half_mm)
+    columns, rows = 1 + np.ceil(size / pitch - 1e-9).astype(int)
     return (
-        f"set reconstruction.sites.pitch_mm = {FINE * wanted_mm:.2g} or less under [set], "
-        "with more columns and rows to cover the presses"
+        f"set reconstruction.sites.pitch_mm = {pitch:g} or less under [set], with columns = "
+        f"{columns} and rows = {rows} (now {sites.columns} and {sites.rows}) to cover the same "
+        f"{width:.3g} x {length:.3g} mm"
     )
 
 
@@ -809,7 +814,7 @@ def _overview(sweep: Sweep, scene: Scene) -> tuple[list[Fact], Ints, Designs]:
         if least > target:
             text = (
                 f"targets.two_point_mm = {target:g} can't be met: the sites resolve two points "
-                f"from {least:.3g} mm on; {_finer_sites(target)}"
+                f"from {least:.3g} mm on; {_finer(scene.reconstruction.sites, target)}"
             )
             facts.append(fact("warning", text))
     return facts, good, designs
