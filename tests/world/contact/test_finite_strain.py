@@ -77,6 +77,7 @@ def deeper(case):
             + f"-{case.get('thick_mm', 40)}",
         )
         for case in TRUTH["cases"]
+        if "sticks" not in case
     ],
 )
 def test_difference_to_linear_theory_is_that_of_another_code(case):
@@ -377,12 +378,14 @@ def test_probe_held_along_a_normal_carries_less_force_its_gradient_is_a_slope_an
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("edge_mm", [0.1, 0.06])
-def test_whole_block_under_a_flat_face_is_another_codes_slab(edge_mm):
+@pytest.mark.parametrize(("edge_mm", "friction"), [(0.1, 0.0), (0.06, 0.0), (0.5, STICKY)])
+def test_whole_block_under_a_flat_face_is_another_codes_slab(edge_mm, friction):
     """A cylinder on the mesh of pillars, where its rim is rounded: on the second case's 4 mm of rubber 2 % are left."""
-    case = next(one for one in TRUTH["cases"] if one.get("edge_mm") == edge_mm)
+    case = next(
+        one for one in TRUTH["cases"] if one.get("edge_mm") == edge_mm and ("sticks" in one) == (friction > 0.0)
+    )
     probe = Cylinder(diameter_mm=case["diameter_mm"], edge_mm=edge_mm)
-    press = twin.Press(probe=probe, force_n=(0, 0, case["force_n"]))
+    press = twin.Press(probe=probe, force_n=(0, 0, case["force_n"]), friction=friction)
     thick = case.get("thick_mm", 40.0)
     linear = made("linear", **{"body.thickness_mm": thick})
     state = linear.press(press)
@@ -390,7 +393,7 @@ def test_whole_block_under_a_flat_face_is_another_codes_slab(edge_mm):
     more = BodyStrain(press, linear.nominal.body, made().nominal.material, state, places)
     left, missed = off(case, more, places)
     assert left < 0.55 * missed
-    assert left < more.error.markers < 4.0 * left
+    assert left < more.error.markers < (8.0 if friction else 4.0) * left
     sunk = abs(more.indentation_mm / state.indentation_mm - deeper(case))
     assert sunk < more.error.indentation
     assert sunk < (2e-3 if thick == 40.0 else 1e-2)
@@ -566,7 +569,8 @@ def somewhere():
 @pytest.mark.parametrize(
     ("press", "rubber", "words"),
     [
-        ({"friction": 0.5, "probe": Cylinder(diameter_mm=3)}, {}, "friction = 0.5 under a cylinder on a"),
+        ({"friction": 0.5, "probe": Cone(apex_deg=130, diameter_mm=3)}, {}, "friction = 0.5 under a cone on a"),
+        ({"friction": 0.5, "probe": Cylinder(diameter_mm=3)}, {}, "while a fifth of it sticks"),
         ({"friction": STICKY, "force_n": None, "indentation_mm": 0.1}, {}, "where a force presses it"),
         ({"friction": 0.5, "steps": ROLLED, "force_n": None}, {}, "doesn't roll"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "upright probes"),
@@ -583,7 +587,7 @@ def test_what_is_not_solved_on_a_whole_body_is_refused_with_its_cause(press, rub
 @pytest.mark.parametrize(
     ("press", "words"),
     [
-        ({"friction": 0.5, "probe": Cylinder(diameter_mm=5)}, "friction"),
+        ({"friction": 0.5, "probe": Cone(apex_deg=130, diameter_mm=5)}, "friction"),
         ({"probe": Pillar(width_mm=4), "tilt_deg": (3.0, 0.0, 0.0)}, "upright probes"),
         ({"probe": Object(shape="ring", width_mm=8.0)}, "press.probe.kind = object"),
     ],

@@ -1,5 +1,6 @@
 """What linear theory leaves out of presses on a curved body, of square pillars, of several probes
-and of a sphere with friction on a block or a finger, on a mesh of the whole body.
+and of one sphere, cylinder or pillar with friction on a block or a finger, on a mesh of the whole
+body.
 
 The mesh is the body's coarsest one, refined under the probes and at the rims of flat faces. The
 linear solution's Newton steps begin at the contact of `pressing`, the other one's at the linear
@@ -14,7 +15,8 @@ depends.
 
 Validity: rigid spheres, upright cylinders, pillars and cones, pressed along their ways without
 friction on a block, a finger or a dome, several of them by forces; one sphere with friction on a
-block or a finger, pressed by a force, moved sideways and turned about its way; nu from 0.45.
+block or a finger, pressed by a force, moved sideways and turned about its way, and a cylinder or
+pillar while a part of it sticks; nu from 0.45.
 """
 
 from __future__ import annotations
@@ -102,6 +104,10 @@ _ROUNDED = _Shares(0.11, 0.11, 1.2)
 (docs/validity.md): from mesh to mesh of one body the change scatters four times as much as the
 error."""
 
+_SLIPPING = 0.8
+"""The largest share of a flat face with friction that may slip: points come under its front as it
+slides, and the linear solution does not settle."""
+
 _STUCK_OVER_CUBE = 20.0
 """What a probe that sticks adds to the error, over the cube of what linear theory leaves out: both
 meshes miss what rubber does that is held and stretched far."""
@@ -185,8 +191,8 @@ class BodyStrain(FiniteStrain):
 
     @cached_property
     def error(self) -> Share:
-        """What a coarser mesh changes, or a share of what linear theory leaves out, and what a
-        probe that sticks adds."""
+        """What a coarser mesh changes, or a share of what linear theory leaves out, and what
+        friction adds."""
         found = super().error
         places = [_place(one) for one in _probes(self._state)]
         away = [np.linalg.norm(self._watched - middle, axis=1) / size for middle, size in places]
@@ -199,7 +205,9 @@ class BodyStrain(FiniteStrain):
         held, other = self._held(self._pair), self._held(self._coarser)
         force = max(_GUIDED * self._held_share(held), self._held_share(other - held))
         stuck = (1.0 - self._state.slip_share) * _STUCK_OVER_CUBE * self.linear_error**3
-        return replace(found, force=force, markers=found.markers + stuck)
+        deeper = abs(self.indentation_mm) / self._state.indentation_mm
+        sunk = found.indentation + self._shares.near * deeper
+        return replace(found, force=force, markers=found.markers + stuck, indentation=sunk)
 
     def _held(self, pair: FiniteStrain.Solutions) -> Floats:
         """Return (6,) how much larger, over Young's modulus, the force is with which motions hold
@@ -506,11 +514,11 @@ def _unsolved(press: Press, body: Body, material: Material) -> str:
         if one.friction > 0.0:
             if press.also:
                 return "press.also: several probes are solved without friction"
-            if not (isinstance(body, Block | Finger) and isinstance(one.probe, Sphere)):
+            if isinstance(one.probe, Cone) or not isinstance(body, Block | Finger):
                 return (
                     f"press.friction = {one.friction:g} under a {one.probe.kind} on a "
-                    f"{body.geometry()['shape']}: friction is solved under spheres on blocks and "
-                    "fingers"
+                    f"{body.geometry()['shape']}: friction is solved under spheres, cylinders and "
+                    "pillars on blocks and fingers"
                 )
             if not held[:, Z].all():
                 return "press: a probe with friction is solved where a force presses it"
@@ -528,6 +536,9 @@ def _unsolved_state(press: Press, state: ContactState, path: Sequence[ContactSta
     before = takewhile(lambda other: other is not state, path)
     if press.friction > 0.0 and not all(other.load.terms for other in before):
         return "press.steps: a probe with friction is solved until it is lifted"
+    slides = press.friction > 0.0 and state.slip_share > _SLIPPING
+    if slides and not isinstance(press.probe, Sphere):
+        return "press.steps: a flat face with friction is solved while a fifth of it sticks"
     if not all(len(one.pressure_mpa) for one in _probes(state)):
         return "press: several probes are solved where all touch"
     return ""
