@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from presses import centre_of, hull, pressed, settled
+from presses import centre_of, pressed, settled
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipe, ellipk
@@ -24,7 +24,6 @@ from twin.theory import halfspace
 DEPTH = 0.2
 MODULUS = 1.0 / (1.0 - 0.5**2)
 """E / (1 - nu^2) of what `pressed` presses, MPa."""
-
 
 AROUND = 2.0 * np.pi * np.arange(200) / 200
 RADII = np.linspace(0.01, 3.6, 60)
@@ -65,7 +64,7 @@ def ring(request, tmp_path_factory):
     section, height, ends = SHAPES[request.param]
     swept = trimesh.creation.revolve(np.vstack([section, section[:1]]), sections=200)
     file = write_stl(tmp_path_factory.mktemp("rings") / "ring.stl", swept.triangles)
-    return Stl(file=str(file)), ring_force(height, *ends), 0.1 if "punch" in request.param else 0.02
+    return Stl(file=str(file)), ring_force(height, *ends), 0.1 if "punch" in request.param else 0.03
 
 
 def test_rings_of_pressure_know_the_flat_punch():
@@ -172,15 +171,19 @@ def under_rectangles(x, y, a, b):
     return sunk / (np.pi * MODULUS)
 
 
+def cells(*ends):
+    """Return middles x, y and half sizes a, b of the cells between ends along both axes."""
+    sides = [(e[1:] + e[:-1]) / 2 for e in ends], [np.diff(e) / 2 for e in ends]
+    return [each.ravel() for side in sides for each in np.meshgrid(*side)]
+
+
 def inclined_force(tilt_deg, depth):
     """Return the force, N, on a pillar of 4 mm, inclined, side wall included, on 60 by 14 rectangles."""
     slope = np.tan(np.radians(tilt_deg))
     low, high = -1.2 * depth * slope, min(depth / slope, 4.0 * np.cos(np.radians(tilt_deg)))
     along = np.concatenate([np.linspace(low, 0.0, 5), high * np.linspace(0.0, 1.0, 56)[1:] ** 1.5])
     across = -2.0 * np.cos(np.pi * np.linspace(0.0, 1.0, 15))
-    middles, halves = [(e[1:] + e[:-1]) / 2 for e in (along, across)], [np.diff(e) / 2 for e in (along, across)]
-    x, y = (side.ravel() for side in np.meshgrid(*middles))
-    a, b = (side.ravel() for side in np.meshgrid(*halves))
+    x, y, a, b = cells(along, across)
     wanted, sunk = depth - np.where(x > 0.0, x * slope, -x / slope), under_rectangles(x, y, a, b)
     return float(4.0 * a * b @ settled(sunk, wanted))
 
@@ -211,8 +214,7 @@ def letter_force(count):
     """Return the force, N, on a letter of 5 by 5 strokes of 1.2 mm, each cut into count by count graded rectangles."""
     strokes = np.argwhere([[mark == "#" for mark in row] for row in ("#####", "#...#", "#####", "#...#", "#...#")])
     ends = 0.6 - 0.6 * np.cos(np.pi * np.linspace(0.0, 1.0, count + 1))
-    u, v = (side.ravel() for side in np.meshgrid((ends[1:] + ends[:-1]) / 2, (ends[1:] + ends[:-1]) / 2))
-    a, b = (side.ravel() for side in np.meshgrid(np.diff(ends) / 2, np.diff(ends) / 2))
+    u, v, a, b = cells(ends, ends)
     x, y = (np.add.outer(1.2 * strokes[:, k], side).ravel() for k, side in enumerate((u, v)))
     a, b = np.tile(a, len(strokes)), np.tile(b, len(strokes))
     pressure = np.linalg.solve(under_rectangles(x, y, a, b), np.full(len(x), DEPTH))
@@ -220,13 +222,24 @@ def letter_force(count):
     return float(4.0 * a * b @ pressure)
 
 
-@pytest.mark.parametrize(("tilt", "across"), [(0.0, 16), (30.0, 16), (0.0, 8)])
-def test_a_letter_is_pressed_however_it_is_turned(tilt, across):
+@pytest.mark.parametrize(("tilt", "across", "within"), [(0.0, 16, 0.001), (30.0, 16, 0.02), (0.0, 8, 0.002)])
+def test_a_letter_is_pressed_however_it_is_turned(tilt, across, within):
     coarse, fine = letter_force(4), letter_force(7)
     force = fine + (fine - coarse) / ((7 / 4) ** 2 - 1)  # order 2; 1.7317 N from 7, 10 and 13
     assert force == pytest.approx(1.7317, rel=1e-3)
     press = Press(probe=Object(shape="letter", width_mm=6.0), tilt_deg=(0.0, 0.0, tilt), indentation_mm=DEPTH)
-    assert_force(force, press, across, within=0.7 / across, most=0.2)
+    assert_force(force, press, across, within=within, most=0.025)
+
+
+@pytest.mark.parametrize(("angle", "across"), [(0.0, 8), (0.0, 16), (1.0, 12), (45.0, 11)])
+def test_a_lying_cylinder_is_pressed_however_it_is_turned(angle, across, tmp_path):
+    """It was 0.5 to 2.2 % too weak; askew it stated down to 0.4 times that."""
+    turn = trimesh.transformations.euler_matrix(0.0, np.pi / 2, np.radians(angle))
+    file = write_stl(tmp_path / "lying.stl", trimesh.creation.cylinder(3.0, 6.0, 1440, transform=turn).triangles)
+    x, y, a, b = cells(3.0 * np.sin(np.pi / 2 * np.linspace(-1, 1, 49)), np.linspace(-0.8, 0.8, 33))
+    force = float(4.0 * a * b @ settled(under_rectangles(x, y, a, b), DEPTH - 3.0 + np.sqrt(9.0 - y**2)))
+    lying = Press(probe=Stl(file=str(file)), indentation_mm=DEPTH)
+    assert_force(force, lying, across, within=0.04 / across, most=0.1 / across)
 
 
 @pytest.mark.slow
@@ -251,7 +264,6 @@ def test_a_contact_has_the_same_patches_whatever_lies_in_the_cache(tmp_path, mon
 
 
 # --- contacts that no grid fits at once -----------------------------------------------------------
-
 
 WIDTH, LENGTH, DEEP = 4.0, 2.5, 0.1
 CORNER = (40.0, 40.0, 0.0)
@@ -306,18 +318,6 @@ def test_a_sharp_edge_is_the_limit_of_rounded_ones():
 def test_an_edge_pushes_as_hard_however_it_is_turned(lean, turn):
     """Half as hard again was found at 30 and 45 degrees, nothing at the others."""
     assert pillar((lean, 0.0, turn)) == pytest.approx(pillar((lean, 0.0, 0.0)), rel=0.03)
-
-
-def test_a_ridge_that_lies_askew_in_its_file_is_found(tmp_path):
-    ends = [(-1.5, 0, 0), (1.5, 0, 0)]
-    vertices, triangles = hull([*ends, *itertools.product((-1.5, 1.5), (-1.0, 1.0), (-1.0,))])
-
-    def ridge(angle):
-        askew = turned(vertices, (0.0, 0.0, angle))
-        file = write_stl(tmp_path / f"{angle:g}.stl", askew[triangles])
-        return pressed(Press(probe=Stl(file=str(file)), indentation_mm=DEEP)).force_n[2]
-
-    assert ridge(40.0) == pytest.approx(ridge(0.0), rel=0.05)
 
 
 def test_a_rim_that_just_touches_a_slope_is_found():

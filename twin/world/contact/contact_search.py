@@ -10,8 +10,7 @@ rest, as pressure only moves a surface inwards. Under a surface of triangles, an
 that the search above misses (rings), this overlap at the depth found so far bounds the contact; its
 mean width, 4 area / perimeter, gives the size of the patches.
 
-A grid is turned along a long contact, as cells are counted along the grid's two axes: a contact
-askew in its grid reaches few of them, and its force was half as large again.
+A grid is turned along a long contact: one askew in its grid reaches few cells.
 """
 
 from __future__ import annotations
@@ -30,31 +29,30 @@ from twin.world.contact.contact_problem import ContactProblem, Control, ProbeSet
 from twin.world.contact.probe_gap import ABOUT_X, TURN, X, Y, Z, half_extent
 from twin.world.contact.surface_patches import Box, Patches, Plane
 
-_LONG = 1.5
-_ASKEW = math.sin(math.radians(3.0))
+_LONG, _ASKEW = 1.5, math.sin(math.radians(3.0))
+_LONG_OVERLAP, _ASKEW_OVERLAP = 1.2, math.sin(math.radians(0.1))
 """Length over width from which a contact has a direction, and how far from an axis of the grid it
-may point."""
+may point; the same of an overlap, known better."""
 
 _ON_EVERY_SIDE = 0.15
 """Margin around a contact, over its size."""
 
 
-def _turn_along(patches: Patches, active: Bools) -> Floats | None:
+def _turn_along(patches: Patches, weight: Floats, long: float, askew: float) -> Floats | None:
     """Return the turn (3, 3) about the plane's normal that takes the grid's axes along and across a
-    long contact.
+    long contact, in which cells have weights (k,).
 
-    None where they lie so already, or the contact is about as long as it is wide.
+    None where they are no more ``askew``, or the contact is no more ``long``.
     """
-    middle = patches.middle_mm[active]
-    cell = patches.cell_mm[active]
-    weight = cell[:, 0] * cell[:, 1]
+    middle = patches.middle_mm
+    cell = patches.cell_mm
     away = middle - weight @ middle / weight.sum()
     spread = (weight * away.T) @ away / weight.sum() + np.diag(weight @ cell**2) / (
         3.0 * weight.sum()
     )
     (narrow, wide), directions = np.linalg.eigh(spread)
     u, v = directions[:, 1]
-    if wide < _LONG**2 * narrow or min(abs(u), abs(v)) < _ASKEW:
+    if wide < long**2 * narrow or min(abs(u), abs(v)) < askew:
         return None
     along = (
         np.array([u, v, 0.0]) if abs(u) >= abs(v) else np.array([v, -u, 0.0])
@@ -86,11 +84,11 @@ _FILL, _FITS = 0.4, 0.6
 be told by its pressures."""
 
 _PATIENCE = 10
-"""Tries after which a grid that holds the contact will do although the contact fills little of it:
-a corner's, whose ends reach the border of any grid that fits it more closely."""
+"""Tries after which a grid that holds the contact will do although the contact fills little of it,
+as a corner's does."""
 
 _TURNS = 3
-"""How often a grid is turned along the contact at most: a corner's has no direction of its own."""
+"""How often a grid is turned along a contact at most."""
 
 _MARGIN = 0.13
 _SPARE = 1.6
@@ -127,7 +125,7 @@ before a piece counts as missed; change of the depth, and of the place over the 
 the search."""
 
 _GROWTH = 4.0
-"""How many times as deep a probe may come from one try to the next."""
+"""How many times as deep a probe may come in one try."""
 
 _THIN = 0.15
 """Largest contact over a body's thickness for which closed forms of half-spaces give its size."""
@@ -492,7 +490,8 @@ def _find_on_grids(
             return plane, whole, pose
         outline = _within_outline(setup, patches, found)
         contact = outline or patches.bounds(found.active)
-        if turns and (turn := _turn_along(patches, found.active)) is not None:
+        weight = found.active * patches.area_mm2
+        if turns and (turn := _turn_along(patches, weight, _LONG, _ASKEW)) is not None:
             turns -= 1
             plane = Plane(origin_mm=plane.origin_mm, axes=turn @ plane.axes)
             box = _turned_box(patches, found.active, turn)
@@ -548,9 +547,8 @@ def _find_overlap(
     if control.by_force[Z]:
         pose[Z] = touch_z + _disc(setup, float(control.given[Z]) / upright, 0.0)[1] / upright
     for _ in range(_ROUNDS):
-        cells, inside, width = _overlap(setup, plane, pose)
-        turn = _turn_along(cells, inside) if may_turn and math.isinf(width) else None
-        if turn is not None:
+        cells, inside, width, turn = _overlap(setup, plane, pose)
+        if may_turn and turn is not None and math.isinf(width):
             may_turn = False
             plane = Plane(origin_mm=plane.origin_mm, axes=turn @ plane.axes)
             continue
@@ -581,9 +579,11 @@ def _find_overlap(
     )
 
 
-def _overlap(setup: ProbeSetup, plane: Plane, pose: Floats) -> tuple[Patches, Bools, float]:
-    """Return cells over the probe's overlap with the body at rest, which of them lie in it, and the
-    mean width of its pieces, mm: inf of one that fills its box.
+def _overlap(
+    setup: ProbeSetup, plane: Plane, pose: Floats
+) -> tuple[Patches, Bools, float, Floats | None]:
+    """Return cells over the probe's overlap with the body at rest, which of them lie in it, the
+    mean width of its pieces, mm (inf of one that fills its box), and the turn along it.
 
     Where nothing overlaps, what is nearest counts.
     """
@@ -612,7 +612,13 @@ def _overlap(setup: ProbeSetup, plane: Plane, pose: Floats) -> tuple[Patches, Bo
             count *= 2
         else:
             break
-    return cells, inside, math.inf if width > _ONE_PIECE * min(found.size) else width
+    weight = inside * cells.area_mm2 * np.maximum(-gap, 1e-12)
+    turn = _turn_along(cells, weight, _LONG_OVERLAP, _ASKEW_OVERLAP)
+    narrow = min(found.size)
+    if turn is not None:
+        along = cells.middle_mm[inside] @ turn[:2, :2].T
+        narrow = min(narrow, float((np.ptp(along, axis=0) + step).min()))
+    return cells, inside, math.inf if width > _ONE_PIECE * narrow else width, turn
 
 
 def _about_nearest(contacts: ContactProblem, whole: Box, pose: Floats) -> Box:

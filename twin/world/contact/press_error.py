@@ -38,6 +38,7 @@ from twin.theory import halfspace
 from twin.world.contact.contact_problem import LoadProgramme, ProbeSetup
 from twin.world.contact.contact_state import ContactState, PressError, Share
 from twin.world.contact.probe_gap import MOTIONS, Z
+from twin.world.contact.surface_patches import BEYOND_EDGE
 
 _Solve = Callable[[LoadProgramme, int], tuple[list[ContactState], str]]
 """Takes a programme's path in so many parts a step; returns the states, and why it stopped."""
@@ -46,13 +47,12 @@ _FEWEST_COMPARED = 6
 """Patches in contact from which on tractions are estimated; patches across a contact at least."""
 
 _FEW_ON_RIM, _OF_FINER = 14, 2.0
-"""Patches across a rounded rim below which it is solved on 1.5 and 2 times as many: 6 miss it, and
-6 and 8 miss it alike. One of the two may agree by chance, seldom both. Error over the larger
-change: the order may be the first."""
+"""Patches across a rounded rim below which it is solved on 1.5 and 2 times as many, as 6 and 8 miss
+it alike. Error over the larger change: the order may be the first."""
 
 _MOST_RESPONDING = 600
 """Patches in contact from which on its response is computed on fewer: its time grows with their
-cube, and no part of the press's error is as small as what they leave."""
+cube."""
 
 _WIDER = 0.4
 _WIDER_FLAT = 0.5
@@ -61,9 +61,8 @@ _WIDER_ROUNDED = 0.3
 _NARROWER = 1.5
 """Error over the change with patches twice as wide, the same under flat faces, under inclined ones
 and where patches are graded up to a place on a rounded rim, or half as wide. Measured at 8 to 16
-patches across against 40, under flat faces with sharp rims: 0.46 on the standard block, 0.5 on pads
-2 mm thick, 0.6 of faces inclined by 2 to 4 degrees; 0.07 to 0.28 on round rounded rims; less under
-other probes."""
+across against 40: 0.46 to 0.5 under sharp flat faces, 0.6 inclined by 2 to 4 degrees; 0.07 to 0.28
+on round rounded rims; less elsewhere."""
 
 _ORDER = 1.8
 _ALIKE = 1.3
@@ -71,8 +70,7 @@ _ALIKE = 1.3
 
 _CUT = 0.26
 """Error of a smooth probe's force at a given depth, times the square of the patches across.
-Measured against 40 patches across: 0.0004 to 0.00105 at 16, for spheres of 3 to 20 mm radius and a
-cone."""
+Measured against 40 patches across: 0.0004 to 0.00105 at 16."""
 
 _WHOLE = 0.75
 """Error of the force sideways where patches stick as a whole, over what their area is too large by:
@@ -80,46 +78,43 @@ about half on a half-space, where it grows with the radius, and all on a thin la
 
 _CUT_THIN = 1.0
 """How many times that is added where the contact's radius is the body's thickness or more; below,
-with its cube. Measured at 8 to 24 across against 36 to 40 under balls without friction, where other
-patches tell a part of it: `_CUT` would be 0.26 on thick rubber, 0.34, 0.42, 0.47 and 0.82 at radii
-of 0.15 to 0.3, 0.3 to 0.6, 0.6 to 1 and more of the thickness."""
+with its cube. Measured at 8 to 24 across against 36 to 40 under balls: `_CUT` would be 0.26 on
+thick rubber, 0.34, 0.47 and 0.82 at radii up to 0.3, 1 and more of the thickness."""
 
 _UNLOADED, _UNFITTED = 0.9, 0.75
 """Patches across a contact over those of its grid, below which it counts as unloaded; and how many
 times as many have its error where the grid was fitted to it. Measured under a sphere and a cone
-unloaded to 0.15 to 0.6 of their depth, at 8 to 14 across against 32: `_CUT` would be 0.5 at most
-there, and 0.45 from 16 patches on."""
+unloaded to 0.15 to 0.6 of their depth: `_CUT` would be 0.5 at most."""
 
 _CUT_STUCK = 0.25
 """Least error of the force sideways where patches stick up to the border of a smooth contact, times
-the patches across. Measured against Mindlin's: 0.0 to 0.35, 0.3 of it where areas tell nothing."""
+the patches across. Measured against Mindlin's: 0.0 to 0.35."""
 
-_EDGE = 0.4
-"""Error of the force under sharp edges that patches cut anywhere, over the patches' width in radii
-of a disc of the contact's area. Measured: 0.1 to 0.25 under an annular punch, up to 0.33 under a
-letter whose strokes lie along the grid."""
+_ASTRAY = 0.8
+"""Error of the force where patches miss an object's sharp edges, over what the singularities there
+make of it. Measured at 7 to 17 across: 0.35 to 0.8 under flat faces of any shape and turn."""
 
 _OUTWARDS, _STEP, _HALVINGS, _FOLDED = 1.5, 0.1, 8, 3.0
 """How far beyond a patch's middle an object's edge is looked for, and the step over which its gap
 is taken there, in patches; bisections; and how many times as fast as within a patch the gap grows
-at an edge. Of a smooth border it is less than twice, where two patches resolve it."""
+at an edge. Of a smooth border it is less than twice."""
 
 _BENT = {True: 0.18, False: 0.34}
 """Error of the tractions over their second differences from patch to patch, both RMS; by whether
 the probe is a ball, or a cone whose tip is rounder than a patch is wide or lies in its middle.
 Linear interpolation leaves up to an eighth of a difference; between patches it misses a tip's peak.
-Measured at 6 to 24 patches across against 36 to 40: 0.08 to 0.172 under balls, on thick and thin
-rubber and a dome, with and without friction, unloaded, pushed sideways; 0.09 to 0.155 under such
-cones and to 0.335 under other ones, flat faces, rounded and inclined ones, and objects."""
+Measured at 6 to 24 across against 36 to 40: 0.08 to 0.172 under balls, 0.09 to 0.155 under such
+cones, up to 0.335 elsewhere."""
 
-_CUT_FREE = 0.1
+_CUT_FREE, _OF_SMOOTH = 0.15, 0.8
 """Error of the force under an object's smooth borders, times patches over those of a square that a
-disc as wide as the contact fills; with the power 1.5 of the border's length over that disc's."""
+disc as wide as the contact fills; with the power 1.5 of the border's length over that disc's. And
+what of it sharp borders lack."""
 
 _CUT_RIM = 0.2
 """The same under a flat face so inclined that it touches with its rim, times the patches across.
 Measured at 8 to 20 across against 30 to 35 under twelve faces inclined by 16 to 30 degrees: up to
-0.27, of which other patches tell all but 0.15 under rims along the grid, 0.2 under others."""
+0.27, of which other patches tell all but 0.2."""
 
 _CUT_CORNER, _ASKEW = 0.45, 0.02
 """The same where it touches with a corner, and the least ratio of its two tilts there. Measured
@@ -131,26 +126,23 @@ too, over the square of the inclination. Measured under a pillar at 15 degrees: 
 
 _ASIDE = 0.4
 """Least error of what a flat face pushes sideways under a given force along z, over that, times the
-patches across. Measured next to an edge at 8 to 24 across against 32: 0.05 to 0.41."""
+patches across. Measured next to an edge: 0.05 to 0.41."""
 
 _ROUNDED = {True: 0.15, False: 0.25}
 """Least error of the force under a flat face with a rounded rim, on which patches end by chance,
 times the patches across, over the flat share of the face's half width; by whether the face is
-round. A square one's sides lie along patches. Measured without friction at 8 to 27 across against
-34 to 40, edges of 0.05 to 0.7 of the half width: up to 0.17 and 0.25, beside `_CUT`."""
+round. A square one's sides lie along patches. Measured at 8 to 27 across against 34 to 40: up to
+0.17 and 0.25, beside `_CUT`."""
 
 _CUT_ROUNDED, _OF_RIM = 0.8, 0.08
 """Error of the force under such a face at a given depth, times the square of the patches across,
 where these are graded up to where contact ends; of a round one where so much of the contact's half
 width (of the rubber's thickness, if that is less) is on the rim, and in proportion below. Measured
-at 8 to 20 across against 32 to 37: up to 0.9 under eight square ones, 0.74 under a round one of
-which a quarter of the half width is on the rim. On thin rubber it is as many times that as the
-force grows faster with the face (`_growth`): 1.5 to 2.2 under round and 1.6 to 3.8 under square
-ones as wide as 2.7 times the thickness."""
+at 8 to 20 across against 32 to 37: up to 0.9 under square ones, 0.74 under a round one. On thin
+rubber it is as many times that as the force grows faster with the face (`_growth`)."""
 
 _UNSEEN = 0.4
-"""How much of either may be left where finer patches change less. Measured at 7 to 12 across
-against 40: 0.24 in one case of 29."""
+"""How much of either may be left where finer patches change less. Measured: 0.24 at most."""
 
 _STIFFER = 1.5
 """How much faster a sphere's force grows than its indentation, relatively; a cone's 2."""
@@ -278,16 +270,11 @@ class Estimates:
         self, state: ContactState, number: int, other: ContactState, borders: list[_Border]
     ) -> float:
         """Return the error over the change with ``number`` patches across: as much wider as those
-        are fewer, but under objects, whose largest number of patches may end both alike.
-
-        A power law goes through what is known of twice and half the width. Under objects it is the
-        less steep, down to first order, the sharper their edges are.
-        """
+        are fewer, but under objects, whose largest number of patches may end both alike. A power
+        law goes through what is known of twice and half the width."""
         wider = self._job.setups[0].across / number
-        sharp = 0.0
         if any(one.is_free_form for one in self._job.setups):
             wider = _patch_mm(other) / _patch_mm(state)
-            sharp = max(border.sharpness for border in borders)
         ratio = max(wider, 1.0 / wider, _ALIKE)
         if wider < 1.0:
             known = _NARROWER
@@ -298,9 +285,7 @@ class Estimates:
                 known = _WIDER_ROUNDED
         else:
             known = _WIDER
-        smooth = known * (2.0**_ORDER - 1.0) / (ratio**_ORDER - 1.0)
-        first = (ratio if wider < 1.0 else 1.0) / (ratio - 1.0)
-        return float(smooth + sharp * max(first - smooth, 0.0))
+        return float(known * (2.0**_ORDER - 1.0) / (ratio**_ORDER - 1.0))
 
     @cached_property
     def _resolves_rims(self) -> bool:
@@ -471,7 +456,7 @@ class Estimates:
         excess = _WHOLE * abs(counted / state.area_mm2 - 1.0)
         least = _CUT_STUCK / self._across(setup, state)
         if setup.is_free_form:  # its area is counted: patches stick as far as its edges are smooth
-            share = border.patch_share * math.sqrt(border.longer)
+            share = math.sqrt(border.longer * math.pi / len(state.pressure_mpa))
             least = _CUT_STUCK * share / 2.0 * (1.0 - border.ends_sharply)
         return stuck * max(excess, least) * _over(sideways, state.force_n)
 
@@ -705,9 +690,9 @@ class _Border:
         return np.asarray((self._sides[2] < 0).any(axis=1))
 
     @cached_property
-    def ends_sharply(self) -> float:
-        """The share of it at which the object ends or folds: pressures don't show it where a
-        contact is few patches wide."""
+    def _sharp_ends(self) -> tuple[Bools, Floats]:
+        """Of the open sides, at which the object ends or folds, and how far from the patch's middle
+        it ends, over its extent: pressures don't show it where a contact is few patches wide."""
         patch, along, side = self.open_sides
         load, first = self.load, self.setup.first
         axes = first.axes
@@ -729,24 +714,28 @@ class _Border:
         at_end = gap_at(low)
         inner = at_end - gap_at(low - 1.0)
         outer = (gap_at(high + _STEP) - at_end) / _STEP
-        sharp = ends & (outer > _FOLDED * np.maximum(inner, 0.0))
+        return ends & (outer > _FOLDED * np.maximum(inner, 0.0)), low
+
+    @property
+    def ends_sharply(self) -> float:
+        """The share of it at which the object ends or folds."""
+        sharp, _ = self._sharp_ends
         return float(np.count_nonzero(sharp)) / max(1, len(sharp))
 
     @property
-    def sharpness(self) -> float:
-        """How sharp an object's is: 0 where pressure vanishes there or the object goes on smoothly,
-        1 where pressure is no less than elsewhere and the object ends."""
-        if not (self.setup.is_free_form and self.touches and self.patches.any()):
-            return 0.0
-        pressure = self.state.pressure_mpa
-        pressed = min(1.0, float(pressure[self.patches].mean() / pressure.mean()) ** 4)
-        return pressed * min(1.0, 2.0 * self.ends_sharply)
-
-    @property
-    def patch_share(self) -> float:
-        """The patches' side over the radius of a disc of the contact's area."""
-        side = 2.0 * self.load.half_mm.mean(axis=0).max()
-        return float(side / math.sqrt(self.state.area_mm2 / math.pi))
+    def _astray(self) -> float:
+        """The error of the force as patches miss an object's sharp edges, in all and by chance: p =
+        k / sqrt(distance) there, and force changes by 2 pi k^2 / (E' depth) times the area missed.
+        """
+        sharp, end = self._sharp_ends
+        patch, _, side = self.open_sides
+        at_edge = sharp & (end < 1.0)  # else the next one could touch, too
+        missed = at_edge * (end - (0.5 - BEYOND_EDGE)) * _areas(self.load)[patch]
+        squared = self.state.pressure_mpa[patch] ** 2 * side / (4.0 * (1.0 - BEYOND_EDGE))  # k^2
+        modulus = self.setup.youngs_modulus_mpa / (1.0 - self.setup.poisson_ratio**2)
+        whole = modulus * self.state.indentation_mm * float(np.linalg.norm(self.state.force_n))
+        off = 2.0 * math.pi * missed * squared / whole
+        return _ASTRAY * float(abs(off.sum()) + np.linalg.norm(off))
 
     @property
     def longer(self) -> float:
@@ -756,12 +745,13 @@ class _Border:
 
     @property
     def force_error(self) -> float:
-        """The error of the force as patches cut an object's: where it is sharp, pressure doesn't
-        vanish; where it is smooth, it is the longer the narrower the contact is."""
+        """The error of the force as patches cut an object's border: the longer the narrower the
+        contact is, and more where they miss sharp edges."""
         if not (self.setup.is_free_form and self.touches):
             return 0.0
-        smooth = _CUT_FREE * self.longer**1.5 * math.pi / len(self.state.pressure_mpa)
-        return float(max(_EDGE * self.sharpness * self.patch_share, smooth))
+        cut = _CUT_FREE * (1.0 - _OF_SMOOTH * self.ends_sharply**2)
+        cut *= self.longer**1.5 * math.pi / len(self.state.pressure_mpa)
+        return float(cut + self._astray)
 
     @property
     def traction_error(self) -> float:

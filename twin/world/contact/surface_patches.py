@@ -8,13 +8,11 @@ covered without a chart.
 Rows of a round footprint end where the row's piece of the disc has its exact area. Why graded cells
 at a footprint's border: the pressure under a sharp edge grows like 1/sqrt(distance), and cells that
 shrink like its inverse carry equal forces. They also follow where contact ends on a rounded rim, if
-that is known about (`Footprint.pressed`): equal cells ended by chance, 1 to 3 % of the force off at
-16 across, now 0.3.
+that is known about (`Footprint.pressed`).
 
 A cell touches wholly or not at all. Where a sharp edge of the probe runs along the grid, a whole
-row of cells is cut alike, and forces jump by some per cent from grid to grid. So cells end at such
-edges (`Box.with_edges`, `Box.aligned`). Edges askew to the grid cut every row elsewhere, which
-evens out.
+row of cells is cut alike, and forces jump by some per cent from grid to grid. So cells end a little
+beyond such edges (`Box.with_edges`, `Box.aligned`). Askew ones cut every row elsewhere.
 """
 
 from __future__ import annotations
@@ -44,13 +42,19 @@ _JUMP = 0.2
 """Least jump of the gap at a sharp edge, over the deepest overlap."""
 
 _ALONG = 0.08
-"""Share of the raster's rows that an edge along the grid crosses at least."""
+_STRAIGHT, _SPREAD = 0.05, 0.3
+"""Share of the raster's rows that an edge along the grid crosses at least; how far it may lie apart
+from row to row, and in all, in steps of the raster."""
 
-_FINEST, _WIDEST, _STEPS = 0.8, 1.1, 121
+_FINEST, _WIDEST, _STEPS = 0.8, 1.1, 601
 """Widths of cells that are tried, over the width asked for, and how many."""
 
+BEYOND_EDGE = 0.165
+"""How far cells end beyond a sharp edge, over their width, as even pressures on them act as if it
+lay so far within their end: 0.159 to 0.169 under a square at 8 to 40 across."""
+
 _AWAY = 0.1
-"""How far edges may lie from the cells' ends, over their width, for a grid that is aligned."""
+"""How far edges may lie from there, over the cells' width, for a grid that is aligned."""
 
 _AS_ASKED = 0.03
 """How much a change of the cells' width counts against a distance from edges."""
@@ -138,7 +142,8 @@ class Box(NamedTuple):
 
     ``width_mm`` is the mean width of the pieces of a contact that fills little of it; inf of a
     contact in one piece that fills it. ``edges`` are the places along u and v of the probe's sharp
-    edges across them. ``face`` is what touches of a flat face, where it is known.
+    edges across them, each with 1 where the probe ends upwards from there, else -1. ``face`` is
+    what touches of a flat face, where it is known.
     """
 
     u0: float
@@ -146,7 +151,7 @@ class Box(NamedTuple):
     v0: float
     v1: float
     width_mm: float = math.inf
-    edges: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+    edges: tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float], ...]] = ((), ())
     face: Footprint | None = None
 
     @property
@@ -220,7 +225,7 @@ class Box(NamedTuple):
         if not inside.any():
             return self
         jump = -_JUMP * float(gap[inside].min())
-        lines: list[tuple[float, ...]] = []
+        lines: list[tuple[tuple[float, float], ...]] = []
         for axis in range(2):
             first, second = np.nonzero(np.diff(inside, axis=axis))
             if len(first) == 0:
@@ -240,49 +245,57 @@ class Box(NamedTuple):
             outer = gap_at(other)
             sharp = np.isinf(outer) | (outer - gap_at(one) > jump)
             step = float(u[1] - u[0] if axis == 0 else v[1] - v[0])
-            lines.append(_common(((one + other) / 2.0)[sharp, axis], step / 2.0**_HALVINGS))
+            place = ((one + other) / 2.0)[:, axis]
+            lines.append(
+                tuple(
+                    (common, way)
+                    for way, ends in ((1.0, ~swap), (-1.0, swap))
+                    for common in _common(place[sharp & ends], step)
+                )
+            )
         return self._replace(edges=(lines[0], lines[1]))
 
     def aligned(self, counts: tuple[int, int]) -> tuple[Box, tuple[int, int]]:
-        """Return a box and its cells along u and v, changed so that cells end at the box's edges as
-        far as one width of cells allows that."""
+        """Return a box and its cells along u and v, changed so that cells end a little beyond the
+        box's edges as far as one width of cells allows that."""
         u0, u1, across = _side(self.u0, self.u1, counts[0], np.array(self.edges[0]))
         v0, v1, along = _side(self.v0, self.v1, counts[1], np.array(self.edges[1]))
         return self._replace(u0=u0, u1=u1, v0=v0, v1=v1), (across, along)
 
 
-def _common(found: Floats, exact: float) -> tuple[float, ...]:
-    """Return the places that many rows have in common, up to ``exact``."""
-    if len(found) == 0:
-        return ()
+def _common(found: Floats, step: float) -> tuple[float, ...]:
+    """Return the places that many rows of a raster of steps ``step`` have in common."""
     found = np.sort(found)
-    groups = np.split(found, np.flatnonzero(np.diff(found) > 4.0 * exact) + 1)
-    return tuple(float(one.mean()) for one in groups if len(one) >= _ALONG * _RASTER)
+    groups = np.split(found, np.flatnonzero(np.diff(found) > _STRAIGHT * step) + 1)
+    return tuple(
+        float(one.mean())
+        for one in groups
+        if len(one) >= _ALONG * _RASTER and np.ptp(one) <= _SPREAD * step
+    )
 
 
 def _side(low: float, high: float, count: int, edges: Floats) -> tuple[float, float, int]:
-    """Return both ends of a side and the number of its cells."""
+    """Return both ends of a side and the number of its cells, for (n, 2) edges and their ways."""
     if len(edges) == 0:
         return low, high, count
+    place, way = edges[edges[:, 0].argsort()].T
     asked = (high - low) / count
-    # Try cells of many widths, and exactly those of which a whole number lies between two edges.
-    apart = edges[-1] - edges[0]
     widths = asked * np.linspace(_FINEST, _WIDEST, _STEPS)
-    between = np.arange(1, 2 + int(apart / (_FINEST * asked)))
-    exact = apart / between
-    widths = np.concatenate([widths, exact[(exact > _FINEST * asked) & (exact < _WIDEST * asked)]])
-    at = (edges - edges[0]) / widths[:, None]
-    off = at - np.rint(at)
-    shift = off.mean(axis=1)
-    away = np.sqrt(np.mean((off - shift[:, None]) ** 2, axis=1))
-    best = int(np.argmin(away + _AS_ASKED * np.abs(widths / asked - 1.0)))
-    if away[best] > _AWAY:
-        return low, high, count
-    width = float(widths[best])
-    start = float(edges[0] + shift[best] * width)
-    first = np.floor((low - start) / width + 1e-6)
-    last = np.ceil((high - start) / width - 1e-6)
-    return start + first * width, start + last * width, int(last - first)
+    # Ridges as narrow as gaps leave no room beyond edges.
+    for beyond in (BEYOND_EDGE * way, 0.0 * way):
+        at = (place - place[0]) / widths[:, None] + beyond
+        off = at - at[:, :1]
+        off -= np.rint(off)
+        shift = off.mean(axis=1)
+        away = np.sqrt(np.mean((off - shift[:, None]) ** 2, axis=1))
+        best = int(np.argmin(away + _AS_ASKED * np.abs(widths / asked - 1.0)))
+        if away[best] <= _AWAY:
+            width = float(widths[best])
+            start = float(place[0] + (shift[best] + beyond[0]) * width)
+            first = np.floor((low - start) / width + 1e-6)
+            last = np.ceil((high - start) / width - 1e-6)
+            return start + first * width, start + last * width, int(last - first)
+    return low, high, count
 
 
 def _cell_edges(low: float, high: float, count: int, *, graded: tuple[bool, bool]) -> Floats:
