@@ -580,9 +580,9 @@ def _dataset() -> dict[str, str]:
     rows = []
     for row in stored("dataset"):
         before = list(row)[: list(row).index("total") + 1]
-        # samples a second that all cores make, after what one takes
         rows.append({key: row[key] for key in before} | {"per_s": 1000.0 * cores / row["total"]} | row)
-    return {"results": f"{measured_on('dataset', cores=True)}\n\n{table(rows)}\n"}
+    speed = f"{measured_on('dataset', cores=True)}\n\n{table(rows)}\n"
+    return {"results": speed, "realism": f"{table(stored('realism'))}\n"}
 
 
 def _inclusions() -> dict[str, str]:
