@@ -500,6 +500,17 @@ def sheared(friction, *side, push=1.5, diameter=6.0, name="block_bare"):
 
 
 @pytest.mark.slow
+def test_pad_that_is_turned_with_its_press_moves_its_sphere_as_much():
+    moves = []
+    for sides, side in (((20.0, 26.0), (0.3, 0.0)), ((26.0, 20.0), (0.0, 0.3))):
+        sensor = made(name="gelpad_press", **{"body.width_mm": sides[0], "body.length_mm": sides[1]})
+        steps = (twin.Step(force_n=(None, None, 1.0)), twin.Step(force_n=(*side, 1.0)))
+        path = sensor.press(twin.Press(probe=BALL, friction=0.5, steps=steps)).path
+        moves += [path[1].move_mm if side[0] else path[1].move_mm[[1, 0, 2]]]
+    assert moves[1] == pytest.approx(moves[0], rel=1e-2, abs=5e-4)  # the mesh is not turned
+
+
+@pytest.mark.slow
 def test_coulomb_friction_lies_between_sliding_freely_and_sticking():
     straight = twin.Press(probe=BALL, steps=(twin.Step(force_n=(None, None, 1.5)),))
     body, material = made().nominal.body, made().nominal.material
