@@ -8,7 +8,7 @@ from half_space_sensor import cell_compliance, finger_sensor
 from twin.errors import InputError
 from twin.parts.camera import Camera
 from twin.parts.scene import Sites
-from twin.sense.calibration import LATER, Calibration, read_calibration
+from twin.sense.calibration import SINCE, Calibration, read_calibration
 from twin.sense.transfer import fill_between, from_compliance, from_presses
 
 MARKERS, SEEN, CALIBRATION = finger_sensor()
@@ -34,10 +34,12 @@ def test_round_trip_on_disk(tmp_path):
         read.transfer[0] = 0
 
 
-def test_files_of_the_first_version_are_read(tmp_path):
+@pytest.mark.parametrize("version", [1, 2])
+def test_files_of_earlier_versions_are_read(tmp_path, version):
     path = tmp_path / "old.npz"
     arrays = {f.name: np.asarray(getattr(CALIBRATION, f.name)) for f in dataclasses.fields(Calibration)}
-    np.savez(path, version=np.array(1), **{k: v for k, v in arrays.items() if k not in LATER})
+    then = {key: value for key, value in arrays.items() if SINCE.get(key, 1) <= version}
+    np.savez(path, version=np.array(version), **then)
     read = read_calibration(path)
     assert np.array_equal(read.transfer, CALIBRATION.transfer)
     assert not read.has_camera

@@ -42,10 +42,6 @@ FEWEST, LOOSEST, TIGHTEST = 8, 1e-2, 1e-3
 
 
 Across = Annotated[int, Field(ge=FEWEST_PATCHES, le=MOST_PATCHES)]
-OF_THICKNESS = 1.5
-"""Relative error of a force over that of the body's thickness: 0.2 to 1.9, measured on pads of 1.5
-and 3 mm, for loads 0.5 to 4 mm wide, along the surface and into it."""
-
 Percent = Annotated[float, Field(ge=0, le=30)]
 """Of a number that is positive, and stays so: the largest, `CUT` times, leaves a quarter of it."""
 
@@ -424,12 +420,12 @@ class Scene(Part):
 
     @property
     def scale_error(self) -> float:
-        """Standard deviation of a factor on all forces read by the design, over 1."""
+        """Standard deviation of a factor on all forces read by the design, over 1: by the modulus
+        and the focal length."""
         room = self.tolerance
         if room.preset == "none":
             return 0.0
-        by_thickness = OF_THICKNESS * room.thickness_mm / self.body.base_z_mm
-        return math.hypot(room.youngs_modulus_pct / 100, room.focal_pct / 100, by_thickness)
+        return math.hypot(room.youngs_modulus_pct, room.focal_pct) / 100
 
     @property
     def load(self) -> Load:

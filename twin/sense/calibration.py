@@ -22,11 +22,13 @@ from twin.parts.camera import Camera
 from twin.theory.optics import project
 from twin.theory.relaxation import Relaxation
 
-VERSION = 2
-READABLE = (1, 2)
-"""Format versions; the first has none of the `LATER` fields."""
+VERSION = 3
+READABLE = (1, 2, 3)
 
-LATER = ("compliance", "marker_mm", "camera", "condition", "left_out")
+SINCE = dict.fromkeys(("compliance", "marker_mm", "camera", "condition", "left_out"), 2)
+SINCE["by_thickness"] = 3
+"""Format version from which on files have these."""
+
 TEXTS = ("layer", "method", "provenance", "camera")
 SCALARS = ("noise_px", "diameter_px", "method", "provenance", "camera", "condition")
 
@@ -63,6 +65,9 @@ class Calibration:
     provenance
         JSON text: how it was made, with a digest of the nominal scene; see `relaxation` and
         `scale_error`.
+    by_thickness
+        (2n, 3k) px/N, how much `transfer` changes by one standard deviation of the body's
+        thickness; (0, 0) where that isn't known.
     compliance
         (3n, 3k) mm/N, marker motion per site force, where the camera's bend is to be followed; else
         (0, 0).
@@ -97,6 +102,7 @@ class Calibration:
     diameter_px: float = float("nan")
     method: str = "compliance"
     provenance: str = "{}"
+    by_thickness: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     compliance: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     marker_mm: Points = field(default_factory=lambda: np.zeros((0, 3)))
     camera: str = "{}"
@@ -113,10 +119,11 @@ class Calibration:
             "site_area_mm2": (sites,),
             "transfer": (2 * markers, 3 * sites),
             "left_out": (np.size(self.left_out),),
+            "by_thickness": (2 * markers, 3 * sites) if np.size(self.by_thickness) else (0, 0),
             "compliance": (3 * markers, 3 * sites) if np.size(self.compliance) else (0, 0),
             "marker_mm": (markers, 3) if np.size(self.compliance) else (0, 3),
         }
-        kinds = {"layer": np.str_, "compliance": np.float32}
+        kinds = {"layer": np.str_, "compliance": np.float32, "by_thickness": np.float32}
         for name, shape in shapes.items():
             array: NDArray[Any] = np.array(getattr(self, name), kinds.get(name, np.float64))
             if array.shape != shape:
@@ -195,7 +202,8 @@ class Calibration:
     @cached_property
     def scale_error(self) -> float:
         """Standard deviation of a factor that all forces share, from 0: of the modulus and the
-        focal length within their tolerances, or as fitted to presses; 0 if that isn't known.
+        focal length within their tolerances, or as fitted to presses; 0 if that isn't known. The
+        thickness: `by_thickness`.
 
         It stands in `provenance`, as ``scale_error``.
         """
@@ -311,9 +319,7 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
         raise InputError(
             f"{path} has format version {version}, this program reads {READABLE}: make it again"
         )
-    names = [f.name for f in fields(Calibration)]
-    if version == 1:
-        names = [name for name in names if name not in LATER]
+    names = [f.name for f in fields(Calibration) if SINCE.get(f.name, 1) <= version]
     missing = [name for name in ["version", *names] if name not in arrays]
     if missing:
         raise InputError(

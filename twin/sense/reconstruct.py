@@ -85,9 +85,9 @@ class Field(Table):
     sd_force_n
         (k, 3) standard deviation of the linear estimate's forces, given the prior, N.
     sd_total_n, sd_torque_nmm
-        (3,) standard deviations of the totals, N and N mm: by the noise, and by the factor that the
-        calibration leaves open (`Calibration.scale_error`; one by recorded places leaves none). By
-        ``local`` also by where forces are expected.
+        (3,) standard deviations of the totals, N and N mm: by the noise, and by what the
+        calibration leaves open (`Calibration.scale_error`, `Calibration.by_thickness`; recorded
+        places leave nothing). By ``local`` also by where forces are expected.
     used
         (n,) which markers took part.
     wrong
@@ -261,6 +261,8 @@ def reconstruct(
     )
     sd_total[:3] = np.hypot(sd_total[:3], moved)
     sd_total = np.hypot(sd_total, calibration.scale_error * totals)
+    if calibration.by_thickness.size:
+        sd_total = np.hypot(sd_total, linear.totals_by_thickness)
     kkt = 0.0
     if push_only or friction is not None:
         at = linear.weight
@@ -429,6 +431,15 @@ class _Linear:
         if self.weight <= 0:
             return 1.0
         return self.problem.factors.noise_scale(self.data, self.weight)
+
+    @property
+    def totals_by_thickness(self) -> Floats:
+        """(6,) totals of the forces for which shifts are taken that the transfer matrix lacks by
+        `Calibration.by_thickness`, N and N mm."""
+        problem, known = self.problem, self.problem.calibration
+        lacking = (known.by_thickness @ self.force_n.ravel()).reshape(-1, 2)
+        taken = problem.factors.forces(problem.whiten(lacking), self.weight)
+        return np.asarray(known.total_rows @ taken.ravel())
 
     @property
     def sd_force_n(self) -> Floats:

@@ -252,7 +252,18 @@ def _by_linear_theory(scene: Scene) -> Scene:
 
 
 def _calibrate_by_design(sensor: Sensor) -> Calibration:
-    return nominal_calibration(sensor, _nominal_compliance(sensor, sensor.sites))
+    made = nominal_calibration(sensor, _nominal_compliance(sensor, sensor.sites))
+    scene = sensor.nominal
+    more = scene.tolerance.thickness_mm if scene.tolerance.preset != "none" else 0.0
+    if not more:
+        return made
+    # The same sensor a standard deviation thicker; its camera moves with the base.
+    assert isinstance(scene.body, Block)
+    thicker = scene.body.model_copy(update={"thickness_mm": scene.body.thickness_mm + more})
+    changes = {"body": thicker, "camera": scene.imaging[0].raised(more)}
+    other = Sensor(scene.model_copy(update=changes), sensor.progress)
+    changed = _nominal_transfer(other, sensor.sites) - made.transfer
+    return replace(made, by_thickness=changed.astype(np.float32))
 
 
 def nominal_calibration(sensor: Sensor, compliance: Floats) -> Calibration:
