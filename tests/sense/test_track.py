@@ -333,6 +333,19 @@ def test_markers_in_light_that_falls_to_a_sixth_are_found(dark):
     np.testing.assert_allclose(np.nanmedian(found.shift_px, axis=0), [1.3, -0.6], atol=0.02)
 
 
+def test_a_pad_that_fills_less_than_half_of_the_picture_has_a_ground_of_its_own():
+    """Wide black dots on a white pad before black: half of all pixels are not the markers' ground."""
+    size, layout = (900, 390), {"dots": flat_layout(5, 5, 65.0, (320.0, 65.0))["red"]}
+    light = np.full((390, 900, 1), 4.0)
+    light[:, 255:645] = 200.0
+    places = layout["dots"] + np.random.default_rng(5).normal(0, 1.0, layout["dots"].shape)
+    pair = [expose(light * (1 - 0.92 * cover(size, places + s, 24.0, 0.84)[..., None]) * np.ones(3), i) for i, s in
+            enumerate((0.0, [1.3, -0.6]))]  # fmt: skip
+    found = track(*pair, layout)
+    assert found.seen.all()
+    assert np.nanstd(found.shift_px - [1.3, -0.6]) < 1.5 * np.nanmedian(found.sd_px) < 0.02
+
+
 def test_layers_in_a_grey_picture():
     """One layer, and two that no colour tells apart."""
     for layout in ({"beads": LAYOUT["red"]}, LAYOUT):

@@ -176,15 +176,22 @@ class LayerSignal:
             inverse = np.linalg.pinv(np.array(colours), rcond=0.05).T
             own = [row / max(float(np.abs(row).max()), 1e-12) for row in inverse]
         # The ground's level in each of them, and the level from which on another layer shows.
-        sample = picture[::4, ::4].reshape(-1, 3).astype(float)
+        # Most of a wide picture may show what surrounds the sensor, unlike the ground.
+        drawn = np.concatenate([look.nominal_px for look in looks])
+        last = np.array(picture.shape[1::-1]) - 1
+        ends = np.clip([drawn.min(axis=0), drawn.max(axis=0)], 0, last)
+        (left, top), (right, bottom) = ends.astype(int)
+        parts = (picture[::4, ::4], picture[top : bottom + 1 : 4, left : right + 1 : 4])
+        samples = [part.reshape(-1, 3).astype(float) for part in parts]
 
-        def with_ground(weights: Floats) -> Singles:
-            return np.array([*weights, np.median(sample @ weights)], np.float32)
+        def ground(weights: Floats, colour: Floats) -> float:
+            whole, near = (float(np.median(sample @ weights)) for sample in samples)
+            return near if abs(near - whole) > 0.5 * abs(weights @ colour) else whole
 
         shows = []
         for weights, colour in zip(own, colours, strict=True):
             least = max(SHOWS * float(weights @ colour), SHOWS_DN)
-            shows.append([*weights, float(np.median(sample @ weights)) + least])
+            shows.append([*weights, ground(weights, colour) + least])
         signals = []
         mosaic = Flaws.mosaic_sites(picture)
         for number, (weights, colour) in enumerate(zip(own, colours, strict=True)):
@@ -193,7 +200,9 @@ class LayerSignal:
             mixed = np.sign(bright) * LUMA
             if not in_brightness:
                 mixed = weights + MIXED * mixed
-            brightness = None if given else with_ground(mixed / np.abs(mixed).max())
+            mixed = mixed / np.abs(mixed).max()
+            grounds = (ground(weights, colour), ground(mixed, colour))
+            brightness = None if given else np.array([*mixed, grounds[1]], np.float32)
             others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
             channel = int(np.abs(weights).argmax())
             one_colour = np.abs(weights[channel]) > ONE_COLOUR * np.abs(weights).sum()
@@ -201,7 +210,12 @@ class LayerSignal:
             if mosaic is not None and one_colour:
                 sites = mosaic[channel].astype(np.float32)
             signals.append(
-                cls(own=with_ground(weights), others=others, brightness=brightness, sites=sites)
+                cls(
+                    own=np.array([*weights, grounds[0]], np.float32),
+                    others=others,
+                    brightness=brightness,
+                    sites=sites,
+                )
             )
         return signals
 
