@@ -35,6 +35,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
@@ -168,10 +169,25 @@ class Rubber(MixedRubber):
         return (self._slopes[some] @ cofactor.swapaxes(2, 3)).reshape(*cofactor.shape[:2], 30)
 
     @cached_property
-    def _rest(self) -> tuple[Floats, Any]:
-        """The blocks at rest, and their sum."""
-        blocks = self._chunked_blocks(np.zeros(self.size), np.arange(len(self._row)))
-        return blocks, MixedRubber.summed(blocks, self._row, self.size)
+    def _pattern(self) -> tuple[Any, Ints]:
+        """The sum of the elements' blocks, and where (m, 34, 34) their entries are in it."""
+        whole = MixedRubber.summed(np.ones((len(self._row), 34, 34)), self._row, self.size)
+        whole.sort_indices()
+        keys = np.repeat(np.arange(self.size), np.diff(whole.indptr)) * self.size + whole.indices
+        wanted = self._row[:, :, None] * self.size + self._row[:, None, :]
+        return whole, np.searchsorted(keys, wanted)
+
+    def _added(self, blocks: Floats, some: Ints) -> Floats:
+        """Return the entries of the sum of some elements' blocks."""
+        whole, place = self._pattern
+        return MixedRubber.gathered(place[some], blocks, whole.nnz)
+
+    @cached_property
+    def _rest(self) -> tuple[Floats, Floats]:
+        """The blocks at rest, and the entries of their sum."""
+        every = np.arange(len(self._row))
+        blocks = self._chunked_blocks(np.zeros(self.size), every)
+        return blocks, self._added(blocks, every)
 
     def tangent(self, unknowns: Floats) -> Any:
         """See `MixedRubber.tangent`; that at rest where the strain is small."""
@@ -179,12 +195,15 @@ class Rubber(MixedRubber):
         change = np.abs(gradient - np.eye(3)).max(axis=(1, 2, 3))
         change = np.maximum(change, np.abs(pressure).max(axis=1) / self._shear)
         strained = np.flatnonzero(change > _STRAINED)
-        blocks, rest = self._rest
-        more = self._chunked_blocks(unknowns, strained) - blocks[strained]
-        return rest + MixedRubber.summed(more, self._row[strained], self.size)
+        blocks, entries = self._rest
+        if len(strained):
+            more = self._chunked_blocks(unknowns, strained) - blocks[strained]
+            entries = entries + self._added(more, strained)
+        whole, _ = self._pattern
+        return csr_matrix((entries, whole.indices, whole.indptr), shape=whole.shape)
 
     def _chunked_blocks(self, unknowns: Floats, some: Ints) -> Floats:
-        parts = range(0, len(some) or 1, _CHUNK)
+        parts = range(0, len(some), _CHUNK)
         return np.concatenate([self._blocks(unknowns, some[n : n + _CHUNK]) for n in parts])
 
 
