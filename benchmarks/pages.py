@@ -862,6 +862,7 @@ PAGES = {
     "elasticity": Page(file=DOCS / "elasticity.md", parts=_elasticity, draw=_draw_elasticity),
     "contact": Page(file=DOCS / "contact.md", parts=_contact, draw=_draw_contact),
     "picture": Page(file=DOCS / "picture.md", parts=_picture, draw=_draw_picture),
+    "effects": Page(file=DOCS / "picture_effects.md", parts=lambda: {"effects": f"{table(stored('effects'))}\n"}),
     "tracking": Page(file=DOCS / "tracking.md", parts=_tracking),
     "inverse": Page(file=DOCS / "inverse.md", parts=_inverse),
     "calibrations": Page(file=DOCS / "calibrations.md", parts=_calibrations),

@@ -112,8 +112,7 @@ def _squares(picture: np.ndarray) -> np.ndarray:
 
 def _ridge(x: np.ndarray, y: np.ndarray, weight: float) -> tuple[np.ndarray, np.ndarray]:
     mean = x.mean(axis=0)
-    kernel = (x - mean) @ (x - mean).T
-    slope = (x - mean).T @ np.linalg.solve(kernel + weight * np.eye(len(x)), y - y.mean(axis=0))
+    slope = (x - mean).T @ np.linalg.solve((x - mean) @ (x - mean).T + weight * np.eye(len(x)), y - y.mean(axis=0))
     return slope, y.mean(axis=0) - mean @ slope
 
 
