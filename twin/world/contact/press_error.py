@@ -113,7 +113,7 @@ what of it sharp borders lack."""
 
 _CUT_FREE_THIN = 5.0
 """As `_CUT_THIN`, of an object's smooth borders: at 2 one of ten objects on rubber of 1 to 3 mm
-was 1.75 times as far off as stated, at 5 none of twelve."""
+was 1.75 times as far off as stated, at 5 none of 13."""
 
 _CUT_RIM = 0.2
 """The same under a flat face so inclined that it touches with its rim, times the patches across.
