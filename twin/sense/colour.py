@@ -80,8 +80,10 @@ class Flaws:
         """
         levels = picture[:, :, ::2].astype(np.int16)
         # by parity of row and column: the least share of red and blue between neighbours' means
-        across, down = _between(levels), _between(levels.transpose(1, 0, 2)).transpose(1, 0, 2)
-        fits = np.empty((2, 2))
+        across, fits = _between(levels), np.empty((2, 2))
+        if across.max() < MEASURED:  # nearly always
+            return None
+        down = _between(levels.transpose(1, 0, 2)).transpose(1, 0, 2)
         for r in range(2):
             for c in range(2):
                 red = across[r, 1 - c, 0], down[1 - r, c, 0]
@@ -244,25 +246,27 @@ RING = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if (row, co
 def _bad_pixels(picture: Picture) -> tuple[Ints, Ints, Ints]:
     """Return `Flaws.bad`."""
     levels = picture.astype(np.int16)
-    height, width = picture.shape[:2]
-    around = np.pad(levels, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    lowest, low = np.full((2, *levels.shape), 1 << 14, np.int16)
-    highest, high = np.full((2, *levels.shape), -1, np.int16)
-    for row, column in RING:
-        beside = around[1 + row : 1 + row + height, 1 + column : 1 + column + width]
-        low = np.minimum(low, np.maximum(lowest, beside))
-        lowest = np.minimum(lowest, beside)
-        high = np.maximum(high, np.minimum(highest, beside))
-        highest = np.maximum(highest, beside)
-    steps = np.abs(np.diff(levels[::3, ::2], axis=1)) if width > 2 else np.zeros((1, 1, 3))
+    steps = (
+        np.abs(np.diff(levels[::3, ::2], axis=1)) if picture.shape[1] > 2 else np.zeros((1, 1, 3))
+    )
     noise = 1.4826 * np.median(steps.reshape(-1, 3), axis=0) / np.sqrt(2.0)
     least = np.maximum(STANDS_OUT * noise, LEAST_STAND_DN)
-    bad = levels > high + least + PEAK * (high - lowest)
-    bad |= levels < low - least - PEAK * (highest - low)
-    if bad.mean() > MOST_BAD:
+    around = np.pad(levels, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    # Such a pixel stands out from one at least of any two neighbours: few do.
+    limit = least.astype(np.int16)
+    bright, dark = np.ones((2, *levels.shape), np.bool_)
+    for one, other in (around[1:-1, :-2], around[1:-1, 2:]), (around[:-2, 1:-1], around[2:, 1:-1]):
+        bright &= levels > np.minimum(one, other) + limit
+        dark &= levels < np.maximum(one, other) - limit
+    row, column, channel = np.nonzero(bright | dark)
+    ring = [around[1 + row + down, 1 + column + right, channel] for down, right in RING]
+    lowest, low, *_, high, highest = np.sort(ring, axis=0)
+    level, least = levels[row, column, channel], least[channel]
+    bad = level > high + least + PEAK * (high - lowest)
+    bad |= level < low - least - PEAK * (highest - low)
+    if bad.sum() > MOST_BAD * levels.size:
         bad[:] = False
-    rows, columns, channels = np.nonzero(bad)
-    return rows, columns, channels
+    return row[bad], column[bad], channel[bad]
 
 
 def _repaired(picture: Picture, bad: tuple[Ints, Ints, Ints]) -> Picture:
@@ -405,15 +409,20 @@ def _spread(away: Floats) -> float:
 
 def _shading(part: Picture, size_px: float) -> Floats:
     """Return the ground (h, w, 3): the medians of squares, linear between them."""
-    from scipy.ndimage import zoom
-
-    height, width = part.shape[:2]
-    rows, columns = (max(1, round(n / size_px)) for n in (height, width))
-    high, wide = height // rows, width // columns
+    sizes = part.shape[:2]
+    rows, columns = counts = [max(1, round(n / size_px)) for n in sizes]
+    high, wide = np.floor_divide(sizes, counts)
     squares = part[: rows * high, : columns * wide].reshape(rows, high, columns, wide, 3)
     middle = np.median(squares, axis=(1, 3))
-    scale = (height / rows, width / columns, 1)
-    return np.asarray(zoom(middle, scale, order=1, mode="nearest", grid_mode=True))
+    # (n, count) shares of the squares along either axis
+    down, across = (
+        np.fmax(1.0 - np.abs(np.clip(at, 0, count - 1)[:, None] - np.arange(count)), 0.0)
+        for count, at in (
+            (count, (np.arange(n) + 0.5) * count / n - 0.5)
+            for n, count in zip(sizes, counts, strict=True)
+        )
+    )
+    return np.asarray(np.tensordot(down, across @ middle, axes=1))
 
 
 def projections(samples: Floats, count: int) -> list[Weights]:

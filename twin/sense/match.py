@@ -159,9 +159,6 @@ class Neighbourhood:
         (n, `twin.sense.template.LEADS`) the nearest neighbours of a lower row, -1 for padding.
     spacing_px
         Distance of neighbouring markers, px.
-    partner
-        (l, n) the marker that lies a step of the lattice away, for each of its l shortest steps; -1
-        where none does, and l = 0 where there is no lattice.
     goes_on
         Whether the lattice goes on beyond the drawn layout: then no motion is more likely from a
         cold start than another.
@@ -172,7 +169,6 @@ class Neighbourhood:
     fit_weight: Floats
     lead: Ints
     spacing_px: float
-    partner: Ints
     goes_on: bool = False
 
     @classmethod
@@ -197,8 +193,29 @@ class Neighbourhood:
             fit_weight=weight,
             lead=np.ascontiguousarray(lead),
             spacing_px=spacing_px,
-            partner=_partners(rest_px, near, weight > 0.0, spacing_px),
         )
+
+    @cached_property
+    def partner(self) -> Ints:
+        """(l, n) the marker that lies a step of the lattice away, for each of its l shortest steps;
+        -1 where none does, and l = 0 where there is no lattice."""
+        rest, reach = self.rest_px, LATTICE_REACH * self.spacing_px
+        known = np.flatnonzero(np.isfinite(rest).all(axis=1))
+        found: list[Ints] = []
+        if len(known) > 1:
+            tree = cKDTree(rest[known])
+            steps = (rest[self.near] - rest[:, None])[self.fit_weight > 0.0]
+            steps = steps[np.isfinite(steps[:, 0])]
+            support = cKDTree(steps).query_ball_point(steps, reach, return_length=True)
+            while len(steps) and support.max() >= LATTICE * len(known):
+                close = np.linalg.norm(steps - steps[np.argmax(support)], axis=1) < reach
+                step = steps[close].mean(axis=0)
+                steps, support = steps[~close], support[~close]
+                off, index = tree.query(rest[known] + step)
+                partner = np.full(len(rest), -1, np.int64)
+                partner[known] = np.where(off < reach, known[index], -1)
+                found.append(partner)
+        return np.array(found, np.int64).reshape(-1, len(rest))
 
     @cached_property
     def far_partner(self) -> Ints:
@@ -381,28 +398,6 @@ class Neighbourhood:
                 pair, _ = Neighbourhood.of(expected, size).follow(seen, alike, start)
             found.append(pair)
         return found
-
-
-def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> Ints:
-    """Return `Neighbourhood.partner`; ``real`` marks neighbours that are no padding."""
-    known = np.flatnonzero(np.isfinite(rest_px).all(axis=1))
-    found: list[Ints] = []
-    if len(known) > 1:
-        tree = cKDTree(rest_px[known])
-        steps = (rest_px[near] - rest_px[:, None])[real]
-        support = cKDTree(steps).query_ball_point(
-            steps, LATTICE_REACH * spacing_px, return_length=True
-        )
-        while len(steps) and support.max() >= LATTICE * len(known):
-            peak = steps[np.argmax(support)]
-            close = np.linalg.norm(steps - peak, axis=1) < LATTICE_REACH * spacing_px
-            step = steps[close].mean(axis=0)
-            steps, support = steps[~close], support[~close]
-            off, index = tree.query(rest_px[known] + step)
-            partner = np.full(len(rest_px), -1, np.int64)
-            partner[known] = np.where(off < LATTICE_REACH * spacing_px, known[index], -1)
-            found.append(partner)
-    return np.array(found, np.int64).reshape(-1, len(rest_px))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -449,34 +450,31 @@ def _noise_variances(
     outer = (1.0 + (blur + 0.5) / radius) ** 2
     side = np.arange(-reach, reach + 2)
     offset = np.stack(np.meshgrid(side, side)).reshape(2, -1)
-    signal, use = np.empty((2, offset.shape[1]), np.float32)
-    nothing = np.zeros((0, 4), np.float32)
-    variances = np.full((len(centres), 2), np.nan)
+    known = np.flatnonzero(np.isfinite(centres).all(axis=1))
+    signal, use = np.empty((2, len(known), offset.shape[1]), np.float32)
+    nothing, middle = np.zeros((0, 4), np.float32), np.rint(centres[known]).astype(np.int64)
+    for k, (column, row) in enumerate(middle):
+        gather(picture, tuple(own), nothing, sites, column, row, offset, NO_RUNS, signal[k], use[k])
     # of a colour mosaic, differences of pixels that lie two apart: those of the same site
-    starts, apart = (
-        ([(0, 0)], 1) if sites.all() else (list(zip(*np.nonzero(sites), strict=True)), 2)
+    apart = 1 if sites.all() else 2
+    corners = list(product((slice(-apart), slice(apart, None)), repeat=2))
+    signal, use = (v.reshape(-1, len(side), len(side)) for v in (signal, use))
+    x, y = ((middle - centres[known])[:, :, None] + side).transpose(1, 0, 2)
+    away = (y[:, :, None] ** 2 + x[:, None] ** 2) / radius**2
+    first, right, below, last = (signal[:, down, along] for down, along in corners)
+    square = 0.25 * (first - right - below + last).astype(float) ** 2
+    # a difference belongs to the marker, or to the ground, with all four of its pixels
+    inside, around = (
+        np.logical_and.reduce([part[:, down, along] for down, along in corners])
+        for part in (away < inner, away > outer)
     )
-    for k in np.flatnonzero(np.isfinite(centres).all(axis=1)):
-        column, row = (int(v) for v in np.rint(centres[k]))
-        gather(picture, tuple(own), nothing, EVERYWHERE, column, row, offset, NO_RUNS, signal, use)
-        away = np.square(offset.T - (centres[k] - (column, row))).sum(axis=1) / radius**2
-        squares: tuple[list[Floats], list[Floats]] = ([], [])
-        for down, right in starts:
-            first = slice((down - row + reach) % apart, None, apart)
-            then = slice((right - column + reach) % apart, None, apart)
-            here, far, used = (v.reshape(len(side), -1)[first, then] for v in (signal, away, use))
-            twist = here[:-1, :-1] - here[:-1, 1:] - here[1:, :-1] + here[1:, 1:]
-            # a difference belongs to the marker, or to the ground, with all four of its pixels
-            corners = [far[:-1, :-1], far[:-1, 1:], far[1:, :-1], far[1:, 1:]]
-            inside = np.maximum.reduce(corners) < inner
-            around = (np.minimum.reduce(corners) > outer) & ~inside
-            seen = (used[:-1, :-1] > 0) & (used[1:, 1:] > 0)
-            for which, part in enumerate((around & seen, inside & seen)):
-                squares[which].append(0.25 * twist[part].astype(float) ** 2)
-        for which in range(2):
-            square = np.concatenate(squares[which])
-            if len(square) > 2:
-                variances[k, which] = square.mean()
+    seen = (use[:, :-apart, :-apart] > 0) & (use[:, apart:, apart:] > 0)
+    variances = np.full((len(centres), 2), np.nan)
+    for which, part in enumerate((around & ~inside & seen, inside & seen)):
+        count = part.sum(axis=(1, 2))
+        enough = count > 2
+        total = (square * part).sum(axis=(1, 2))
+        variances[known[enough], which] = total[enough] / count[enough]
     return variances
 
 
@@ -519,13 +517,15 @@ def _widest(templates: Templates) -> float:
 
 def _covered(picture: Picture, marks: Pixels, radius: float) -> Bools:
     """Return (h, w) which pixels are nearer than ``radius``, and a margin, to one of ``marks``."""
-    height, width = picture.shape[:2]
-    covered = np.zeros((height, width), np.bool_)
-    marks = marks[np.isfinite(marks).all(axis=1)]
-    near = np.rint(marks)[:, None].astype(int) + disc_offsets(radius + MARGIN_PX)
-    column, row = near[((near >= 0) & (near < [width, height])).all(axis=2)].T
-    covered[row, column] = True
-    return covered
+    offset = disc_offsets(radius + MARGIN_PX)
+    reach = int(np.abs(offset).max())
+    margin, size = 2 * reach, np.array(picture.shape[:2]) + 4 * reach
+    middle = np.rint(marks[np.isfinite(marks).all(axis=1)]).astype(int) + margin
+    middle = middle[((middle >= reach) & (middle < size[::-1] - reach)).all(axis=1)]
+    covered = np.zeros(size, np.bool_)
+    step = np.array([1, size[1]])
+    covered.ravel()[(middle @ step)[:, None] + offset @ step] = True
+    return covered[margin:-margin, margin:-margin]
 
 
 def _ground_slopes(
@@ -688,12 +688,16 @@ def _moved_by_ground(
     reach = np.abs(offset).max()
     inside = ((middle >= reach) & (middle < np.array([width, height]) - reach)).all(axis=1)
     rows, middle = rows[inside], middle[inside]
-    column, row = (middle[:, axis, None] + offset[:, axis] for axis in range(2))
-    use = ~covered[row, column] & (templates.sites[row % 2, column % 2] > 0.0)
-    pixels = picture[row, column]
+    step, parity = np.array([1, width]), np.ix_(np.arange(height) % 2, np.arange(width) % 2)
+    at = (middle @ step)[:, None] + offset @ step
+    use = (~covered * templates.sites[parity].astype(float)).ravel()[at]
+    pixels = picture.reshape(-1, 3)[at]
     signal = sum(pixels[:, :, k] * float(templates.own[k]) for k in range(3))
     # The slopes of the brightness along x, y and the ground, and the share of it in sight.
-    x, y = (offset[:, axis] + (middle - places[rows])[:, axis, None] for axis in range(2))
+    apart = middle - places[rows]
+    if not apart.any():  # whole pixels: all alike
+        apart = apart[:1]
+    x, y = (offset[:, axis] + apart[:, axis, None] for axis in range(2))
     if templates.ground_slopes.any():  # these are in the model
         slope = slope_terms(places[rows], picture.shape) @ templates.ground_slopes.T
         signal -= slope[:, :1] * x + slope[:, 1:] * y
@@ -702,22 +706,27 @@ def _moved_by_ground(
     square = depth * depth
     bare = 0.5 - depth * (15 / 16 - square * (10 / 16 - square * 3 / 16))
     edge = 15 / 16 * shape[7] / blur * (1.0 - square) ** 2 / np.maximum(far, 0.5)
-    slopes = np.stack([edge * x, edge * y, np.ones_like(x)], axis=1)
+    slopes = np.stack([edge * x, edge * y, np.ones_like(x)], axis=2)
+    products = (slopes[:, :, :, None] * slopes[:, :, None]).reshape(len(slopes), -1, 9)
     # Least squares at every place: what a marker there would have moved by.
-    weighed = slopes * use[:, None]
-    matrix = weighed @ slopes.transpose(0, 2, 1)
-    whole = templates.sites.mean() * (slopes[:, 0] ** 2).sum(axis=1)
+    matrix = _summed(use, products).reshape(-1, 3, 3)
+    whole = templates.sites.mean() * (slopes[:, :, 0] ** 2).sum(axis=1)
     free = matrix[:, [0, 1], [0, 1]].min(axis=1) > LEAST_FREE * whole
     if not free.any():
         return moved, by_noise
-    rows, weighed, signal, bare = rows[free], weighed[free], signal[free], bare[free]
-    matrix = matrix[free]
-    by_pixel = np.linalg.inv(matrix)[:, :2] @ weighed
-    square = (by_pixel * by_pixel).mean(axis=1)
-    signal = signal - ((signal * weighed[:, 2]).sum(axis=1) / matrix[:, 2, 2])[:, None]
+    matrix[~free] = np.eye(3)
+    inverse = np.linalg.inv(matrix)[:, :2]
+    signal -= ((signal * use).sum(axis=1) / matrix[:, 2, 2])[:, None]
     for k, seen in enumerate((bare, np.ones_like(bare))):
-        moved[rows, 2 * k : 2 * k + 2] = (by_pixel @ (signal * seen)[:, :, None])[:, :, 0]
-        by_noise[k] = np.median(templates.noise[:, 0]) * np.median(
-            (square * seen * seen).sum(axis=1)
-        )
+        right = _summed(use * signal * seen, slopes)[:, :, None]
+        moved[rows[free], 2 * k : 2 * k + 2] = (inverse @ right)[free, :, 0]
+        square = _summed(use * seen**2, products).reshape(-1, 3, 3)
+        variance = 0.5 * (inverse @ square * inverse).sum(axis=(1, 2))
+        by_noise[k] = np.median(templates.noise[:, 0]) * np.median(variance[free])
     return moved, by_noise
+
+
+def _summed(weights: Floats, terms: Floats) -> Floats:
+    """Return (q, t) sums over the pixels of ``weights`` (q, m) times ``terms`` (q, m, t), or
+    (1, m, t), the same for all."""
+    return weights @ terms[0] if len(terms) == 1 else (weights[:, None] @ terms)[:, 0]

@@ -75,6 +75,7 @@ class SoftWindow(CentreEstimator):
         blobs = look.blobs
         if (pair >= 0).any():
             pair = np.where(pair >= 0, np.flatnonzero(blobs.whole)[pair], -1)
+        if (pair >= 0).any() and blobs.cut.any():
             drawn = Neighbourhood.of(look.nominal_px, spacing(look.nominal_px))
             pair = drawn.complete(blobs.centre_px, pair, blobs.cut)
         found = pair >= 0
