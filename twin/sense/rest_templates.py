@@ -688,10 +688,12 @@ def _moved_by_ground(
     reach = np.abs(offset).max()
     inside = ((middle >= reach) & (middle < np.array([width, height]) - reach)).all(axis=1)
     rows, middle = rows[inside], middle[inside]
-    step, parity = np.array([1, width]), np.ix_(np.arange(height) % 2, np.arange(width) % 2)
+    step = np.array([1, width])
     at = (middle @ step)[:, None] + offset @ step
-    use = (~covered * templates.sites[parity].astype(float)).ravel()[at]
-    pixels = picture.reshape(-1, 3)[at]
+    use = 1.0 - covered.ravel()[at]
+    if not templates.sites.all():
+        use *= templates.sites[at // width % 2, at % width % 2]
+    pixels = np.take(picture.reshape(-1, 3), at, axis=0)
     signal = sum(pixels[:, :, k] * float(templates.own[k]) for k in range(3))
     # The slopes of the brightness along x, y and the ground, and the share of it in sight.
     apart = middle - places[rows]
