@@ -49,7 +49,7 @@ def test_a_press_on_few_patches_warns_of_them():
 
 def letter(depth_mm):
     probe = Object(shape="letter", width_mm=8.0)
-    return Press(probe=probe, at_mm=(0, 0), indentation_mm=depth_mm)
+    return Press(probe=probe, at_mm=(0, 0), tilt_deg=(0, 0, 30), indentation_mm=depth_mm)
 
 
 def test_a_press_whose_patches_cut_sharp_edges_warns_of_its_force_at_once():
