@@ -24,10 +24,17 @@ from twin.theory.relaxation import Relaxation
 
 VERSION = 3
 READABLE = (1, 2, 3)
+"""Format version that is written, and those that are read."""
 
-SINCE = dict.fromkeys(("compliance", "marker_mm", "camera", "condition", "left_out"), 2)
-SINCE["by_thickness"] = 3
-"""Format version from which on files have these."""
+SINCE = {
+    "compliance": 2,
+    "marker_mm": 2,
+    "camera": 2,
+    "condition": 2,
+    "left_out": 2,
+    "by_thickness": 3,
+}
+"""Format version from which on files have these; all others are in each."""
 
 TEXTS = ("layer", "method", "provenance", "camera")
 SCALARS = ("noise_px", "diameter_px", "method", "provenance", "camera", "condition")

@@ -189,6 +189,9 @@ class LayerSignal:
             whole, near = (float(np.median(sample @ weights)) for sample in samples)
             return near if abs(near - whole) > 0.5 * abs(weights @ colour) else whole
 
+        def with_ground(weights: Floats, colour: Floats) -> Singles:
+            return np.array([*weights, ground(weights, colour)], np.float32)
+
         shows = []
         for weights, colour in zip(own, colours, strict=True):
             least = max(SHOWS * float(weights @ colour), SHOWS_DN)
@@ -201,9 +204,7 @@ class LayerSignal:
             mixed = np.sign(bright) * LUMA
             if not in_brightness:
                 mixed = weights + MIXED * mixed
-            mixed = mixed / np.abs(mixed).max()
-            grounds = (ground(weights, colour), ground(mixed, colour))
-            brightness = None if given else np.array([*mixed, grounds[1]], np.float32)
+            brightness = None if given else with_ground(mixed / np.abs(mixed).max(), colour)
             others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
             channel = int(np.abs(weights).argmax())
             one_colour = np.abs(weights[channel]) > ONE_COLOUR * np.abs(weights).sum()
@@ -212,7 +213,7 @@ class LayerSignal:
                 sites = mosaic[channel].astype(np.float32)
             signals.append(
                 cls(
-                    own=np.array([*weights, grounds[0]], np.float32),
+                    own=with_ground(weights, colour),
                     others=others,
                     brightness=brightness,
                     sites=sites,
