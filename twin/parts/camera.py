@@ -196,30 +196,29 @@ class Camera(Part):
         bent = self.lens != "pinhole" or any(self.distortion) or self.aspect != 1
         return not bent and self.vignetting == 0 and (self.aperture_mm == 0 or off < 1e-9)
 
+    @property
+    def window_mm(self) -> float:
+        """Thickness of all layers between the body and the camera, mm."""
+        return sum(layer.thickness_mm for layer in self.layers)
+
     def deviating(
         self,
-        front_mm: float,
+        base_z_mm: float,
         pupil_mm: Sequence[float],
         tilt_deg: Sequence[float],
         focal: float,
         distortion: float,
     ) -> Camera:
         """Return this camera as made: pupil, mm, and tilt, deg, moved; focal length changed by a
-        share; first coefficient of distortion changed. The pupil stays behind ``front_mm``."""
+        share; first coefficient of distortion changed. The pupil stays behind base and layers."""
         x, y, z = (a + b for a, b in zip(self.pupil_mm, pupil_mm, strict=True))
         k1, k2, *others = self.distortion or (0.0, 0.0)
         changes = {
-            "pupil_mm": (x, y, max(z, front_mm)),
+            "pupil_mm": (x, y, max(z, base_z_mm + self.window_mm)),
             "tilt_deg": tuple(a + b for a, b in zip(self.tilt_deg, tilt_deg, strict=True)),
             "focal_px": self.focal_px * (1 + focal),
             "distortion": (k1 + distortion, k2, *others),
         }
-        return self.model_copy(update=changes)
-
-    def raised(self, by_mm: float) -> Camera:
-        """Return this camera, held by a base that is higher in z by ``by_mm``."""
-        x, y, z = self.pupil_mm
-        changes = {"pupil_mm": (x, y, z + by_mm), "focus_z_mm": self.focus_z_mm + by_mm}
         return self.model_copy(update=changes)
 
     def tilt_matrix(self) -> Floats:
@@ -228,7 +227,7 @@ class Camera(Part):
 
     def air_gap_mm(self, base_z_mm: float) -> float:
         """Return the way from the last layer to the pupil, mm; `RecipeError` for one in front."""
-        back = base_z_mm + sum(layer.thickness_mm for layer in self.layers)
+        back = base_z_mm + self.window_mm
         gap = self.pupil_mm[2] - back
         if gap < -1e-9:
             raise RecipeError(

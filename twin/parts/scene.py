@@ -397,7 +397,7 @@ class Scene(Part):
     def window_middle_mm(self) -> float:
         """Height of the middle of the layers between body and camera, mm."""
         camera, _, base = self.optics
-        return base + sum(layer.thickness_mm for layer in camera.layers) / 2
+        return base + camera.window_mm / 2
 
     @property
     def imaging(self) -> tuple[Camera, Light]:
@@ -417,6 +417,18 @@ class Scene(Part):
         """Camera, refractive index and height of the base, mm, as `twin.theory.optics` takes
         them."""
         return self.imaging[0], self.material.refractive_index, self.body.base_z_mm
+
+    def thicker(self, by_mm: float) -> Scene:
+        """Return the scene with a block so much thicker; its camera is held by the higher base."""
+        if not by_mm:
+            return self
+        body, camera = self.body, self.camera
+        body = body.model_copy(update={"thickness_mm": body.base_z_mm + by_mm})
+        if camera is not None:
+            x, y, z = camera.pupil_mm
+            moved = {"pupil_mm": (x, y, z + by_mm), "focus_z_mm": camera.focus_z_mm + by_mm}
+            camera = camera.model_copy(update=moved)
+        return self.model_copy(update={"body": body, "camera": camera})
 
     @property
     def scale_error(self) -> float:
@@ -450,7 +462,7 @@ class Scene(Part):
     @model_validator(mode="after")
     def _fits_together(self) -> Scene:
         if self.camera is not None:
-            front = self.body.base_z_mm + sum(layer.thickness_mm for layer in self.camera.layers)
+            front = self.body.base_z_mm + self.camera.window_mm
             if self.camera.pupil_mm[2] < front:
                 raise ValueError(
                     f"camera.pupil_mm: z = {self.camera.pupil_mm[2]} mm must lie behind the base "

@@ -257,11 +257,7 @@ def _calibrate_by_design(sensor: Sensor) -> Calibration:
     more = scene.tolerance.thickness_mm if scene.tolerance.preset != "none" else 0.0
     if not more:
         return made
-    # The same sensor a standard deviation thicker; its camera moves with the base.
-    assert isinstance(scene.body, Block)
-    thicker = scene.body.model_copy(update={"thickness_mm": scene.body.thickness_mm + more})
-    changes = {"body": thicker, "camera": scene.imaging[0].raised(more)}
-    other = Sensor(scene.model_copy(update=changes), sensor.progress)
+    other = Sensor(scene.thicker(more), sensor.progress)
     changed = _nominal_transfer(other, sensor.sites) - made.transfer
     return replace(made, by_thickness=changed.astype(np.float32))
 

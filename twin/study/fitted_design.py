@@ -21,10 +21,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.arrays import Floats, Ints, Pixels, Points
-from twin.parts.body import Body
 from twin.parts.camera import Camera
 from twin.parts.load import Rectangles
-from twin.parts.material import Material
 from twin.parts.scene import Scene
 from twin.sense.fit_design import Fit, Presses
 from twin.theory import halfspace
@@ -109,25 +107,23 @@ class FittedDesign:
         self._chart = np.concatenate([layer.chart() for layer in scene.markers.values()])
         self._layer = np.repeat(list(scene.markers), counts)
 
-    def _body(self, **changes: Body | Material) -> Compliance:
-        scene = self.scene.model_copy(update=changes)
+    def _compliance_of(self, scene: Scene) -> Compliance:
         return Compliance(scene.body, scene.material, level="nominal", progress=self._progress)
 
     @cached_property
     def _nominal(self) -> Compliance:
-        return self._body()
+        return self._compliance_of(self.scene)
 
     @cached_property
     def _softer(self) -> Compliance:
         nominal = self.scene.material
         nu = nominal.poisson_ratio - NU_STEP
-        return self._body(material=nominal.model_copy(update={"poisson_ratio": nu}))
+        softer = nominal.model_copy(update={"poisson_ratio": nu})
+        return self._compliance_of(self.scene.model_copy(update={"material": softer}))
 
     @cached_property
     def _thicker(self) -> Compliance:
-        nominal = self.scene.body
-        thickness = nominal.base_z_mm + self.sizes["thickness"]
-        return self._body(body=nominal.model_copy(update={"thickness_mm": thickness}))
+        return self._compliance_of(self.scene.thicker(self.sizes["thickness"]))
 
     def _by_cover(self, sites: Rectangles) -> Floats | float:
         """Return (3n, 3k) mm/N, by how much the nominal cover moves the markers as drawn more."""
@@ -154,15 +150,16 @@ class FittedDesign:
         """Return the camera that the parameters say, the refractive index, and the height of the
         base, mm."""
         found = self._values(scaled)
-        nominal, index, base = self.scene.optics
+        nominal, _, base = self.scene.optics
         camera = nominal.deviating(
-            base + sum(layer.thickness_mm for layer in nominal.layers),
+            base,
             [found[f"pupil_{axis}"] for axis in AXES],
             [found[f"tilt_{axis}"] for axis in AXES],
             found["focal"],
             found["distortion"],
         )
-        return camera.raised(found["thickness"]), index, base + found["thickness"]
+        deviating = self.scene.model_copy(update={"camera": camera})
+        return deviating.thicker(found["thickness"]).optics
 
     def markers_of(self, scaled: Floats, rest_px: Pixels) -> tuple[Points, Floats]:
         """Return the (n, 3) markers, mm, that are seen at ``rest_px``, and their (n, 2) print

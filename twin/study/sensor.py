@@ -140,32 +140,23 @@ def _make(nominal: Scene) -> _Actual:
     camera = nominal.camera
     if camera is not None:
         camera = camera.deviating(
-            nominal.body.base_z_mm + sum(layer.thickness_mm for layer in camera.layers),
+            nominal.body.base_z_mm,
             [tolerance.pupil_mm * deviation() for _ in range(3)],
             [tolerance.tilt_deg * deviation() for _ in range(3)],
             tolerance.focal_pct / 100 * deviation(),
             tolerance.distortion * deviation() if tolerance.distortion else 0.0,
         )
-    # The thickness; the camera is held by the base.
-    body = nominal.body
+    changes = {"material": material, "cover": cover, "markers": layers, "camera": camera}
+    made = nominal.model_copy(update=changes)
     if tolerance.thickness_mm:
-        thicker = tolerance.thickness_mm * deviation()
-        body = body.model_copy(update={"thickness_mm": body.base_z_mm + thicker})
-        camera = camera and camera.raised(thicker)
-    changes = {
-        "body": body,
-        "material": material,
-        "cover": cover,
-        "markers": layers,
-        "camera": camera,
-    }
+        made = made.thicker(tolerance.thickness_mm * deviation())
     # The print of single markers has a stream of its own.
     noise = Purpose.PRINT.stream(nominal.seed).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)
     return _Actual(
-        scene=nominal.model_copy(update=changes),
+        scene=made,
         jitter_mm=frozen(jitter),
-        markers=MarkerSet.place(body, layers, jitter),
+        markers=MarkerSet.place(made.body, layers, jitter),
         prints=_prints(nominal, count),
     )
 

@@ -155,7 +155,7 @@ def _axis_scale(designs: Designs, depth_mm: Floats) -> Floats:
     camera, _ = scene.imaging
     base_z = designs.numbers("body.thickness_mm", scene.body.base_z_mm)
     index = designs.numbers("material.refractive_index", scene.material.refractive_index)
-    layers = sum(layer.thickness_mm for layer in camera.layers)
+    layers = camera.window_mm
     air: Floats = np.full(len(depth_mm), camera.pupil_mm[2]) - scene.body.base_z_mm - layers
     if designs.swept("camera.pupil_mm"):
         air = np.array([p[2] for p in designs.columns["camera.pupil_mm"]], float) - base_z - layers

@@ -143,7 +143,7 @@ def _refracted(
     """
     camera, index, base = scene.optics
     layers = camera.layers
-    back = base + sum(layer.thickness_mm for layer in layers)
+    back = base + camera.window_mm
     if (leds[:, 2] < back - 1e-9).any():
         raise RecipeError(
             f"light.positions_mm: z = {leds[:, 2].min():.6g} mm must be at least {back:.6g} mm, "

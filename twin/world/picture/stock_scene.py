@@ -261,7 +261,7 @@ def _beside_picture(surface: Triangles, cover: Triangles, scene: Scene) -> Trian
 def _on_window(marks: Camera.Marks, scene: Scene) -> Triangles:
     """Return marks just above the window's outer face: straight bands with round ends."""
     camera, _, height = scene.optics
-    height += sum(layer.thickness_mm for layer in camera.layers) + _ABOVE_MM
+    height += camera.window_mm + _ABOVE_MM
     lines = marks.lines(*scene.body.bounds_mm)
     half = (lines[:, 1] - lines[:, 0]) / 2
     along = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-300)
