@@ -20,7 +20,7 @@ HOMES = {
     "mmgpy": {"world/mesh/tetrahedralise.py"},
     "pypardiso": {"world/elasticity/factor.py"},
     "scipy.sparse.linalg": {"world/elasticity/factor.py"},
-    "pyvista": {"world/mesh/quadratic_mesh.py", "world/mesh/body_mesh.py", "show/body_view.py"},
+    "pyvista": {"world/mesh/quadratic_mesh.py", "world/mesh/body_mesh.py"},
     "trimesh": {"world/mesh/body_mesh.py", "world/picture/stock_scene.py"},
     "numba": {"compiled.py", "world/picture/backend.py"},
     "pickle": set(),

@@ -493,7 +493,6 @@ def view(
     path: str,
     *,
     out: Path | None = None,
-    window: bool = False,
     set_: Overrides = (),
 ) -> _Output:
     """Write a page that shows a body under its press and turns in the browser, without a server.
@@ -503,9 +502,6 @@ def view(
 
     An --out that ends in .gif, .png or .mp4 (H.264; pip install imageio-ffmpeg) is a film instead:
     what the camera sees along the path.
-
-    With --window the same is shown in a window, with sliders for the step and for how large
-    displacements are shown.
 
     Of a dataset it shows a sheet of samples, with the truth drawn in; of an STL file the surface,
     on which a click picks a face and gives the lines of a recipe that hold it or press it.
@@ -517,26 +513,18 @@ def view(
     out
         Page to write (default: view.html in the run's folder; SCENE.html or DATASET.html here), or
         a film: .gif, .png or .mp4.
-    window
-        Open a window (needs a display and OpenGL).
 
     Examples:
     twin view kamiyama_shear
     twin view pad.stl
     twin view out/kamiyama_pillar
     twin view kamiyama_shear --out shear.gif
-    twin view kamiyama_shear --window
     """
 
     # A dataset has a page of its own, and so has a surface.
     folder = Path(path)
     is_dataset = (folder / "meta" / "info.json").is_file()
     is_surface = folder.suffix.lower() == ".stl"
-    if window and (out is not None or is_dataset or is_surface):
-        raise InputError(
-            "--window shows a scene or a run's folder, and writes nothing: leave --out, or "
-            "--window, away"
-        )
     if is_dataset:
         from twin.study.dataset.reader import DatasetReader
 
@@ -570,19 +558,10 @@ def view(
         raise InputError(
             f"--out {page}: allowed are .html for a page, {', '.join(FILMS)} for a film"
         )
-    # Show the body in a window, or write the page or the film.
+    # Write the page or the film.
     scene = _load(path, set_)
     bar = _progress()
     sensor = Sensor(scene, bar)
-    if window:
-        from twin.show.body_view import BodyView
-
-        BodyView.require_window()
-        shown = body_view(sensor)
-        if bar is not None:
-            bar("done", 1.0)
-        shown.show()
-        return
     make_folder(page.parent)
     if page.suffix.lower() in FILMS:
         line = write_film(sensor, page)

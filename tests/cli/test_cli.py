@@ -1,6 +1,5 @@
 """The command line: exit codes, messages that help, nothing heavy for help, nothing lost."""
 
-import ctypes.util
 import inspect
 import json
 import os
@@ -17,7 +16,6 @@ import pytest
 
 from twin.cli import app, main
 from twin.errors import InputError
-from twin.study.check import examine
 from twin.study.recipe import load_scene
 from twin.study.run import run
 
@@ -44,7 +42,6 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["run", "FOLDER"], "is a folder"),
         (["view", "FOLDER"], "holds neither scene.toml"),
         (["view", "kamiyama_pillar", "--out", "x.pdf"], "allowed are .html for a page, .gif, .png, .mp4 for a film"),
-        (["view", "kamiyama_pillar", "--window", "--out", "x.html"], "leave --out, or --window, away"),
         (["view", "kamiyama_pillar", "--out", "FILE/x.html"], "FILE: the output folder can't be made"),
         (["run", "block_bare", "--out", "FILE"], "output folder can't be made"),
         (["view", "PICTURE"], "twin view the folder of a run or of a dataset"),
@@ -295,20 +292,6 @@ def test_a_renderer_of_no_known_name_is_refused_before_the_press_is_solved(monke
     with pytest.raises(InputError, match="TWIN_VARIANT is 'nonsense'"):
         run(load_scene("kamiyama_pillar"), {"picture"}, lambda stage, _: told.append(stage))
     assert told == ["design"]
-
-
-def graphics() -> str:
-    return examine()[0]["GL"]
-
-
-def test_libraries_that_can_not_be_loaded_are_not_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    empty = tmp_path / "libGL.so.1"
-    empty.write_bytes(b"")
-    for found in (str(empty), None):
-        monkeypatch.setattr(ctypes.util, "find_library", lambda name, found=found: found)
-        assert "not found" in graphics()
-    monkeypatch.setattr(ctypes.util, "find_library", lambda name: "libc.so.6")
-    assert "not found" not in graphics()
 
 
 def test_a_run_prints_json_and_explain_reads_its_folder(tmp_path: Path) -> None:

@@ -8,14 +8,11 @@ forces that follow.
 
 from __future__ import annotations
 
-import ctypes.util
 import importlib.metadata
 import importlib.util
 import json
 import os
 import platform
-import subprocess
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -200,13 +197,6 @@ NEEDED = (
 )
 OPTIONAL = {"pypardiso": "faster factorisation on x86-64: pip install pypardiso"}
 
-GL = ("GL", "EGL")
-"""Looked for by loading them: the list that the system keeps of its libraries also has those that
-were taken away."""
-
-LOADING_S = 20.0
-"""How long a library is waited for."""
-
 
 def examine() -> tuple[dict[str, str], list[str]]:
     """Return facts about this machine by name, and what the main job lacks here.
@@ -234,24 +224,11 @@ def examine() -> tuple[dict[str, str], list[str]]:
         except MissingCapability as problem:
             missing.append(str(problem))
         facts["solver"] = ", ".join(Factor.solvers())
-    facts["GL"] = "found" if _loads(*GL) else "not found: only interactive 3-D windows need it"
     facts["cache"] = str(cache_folder())
     if not (SCENES.is_dir() and MESHES.is_dir()):
         missing.append(f"the recipes are missing ({SCENES.parent}): install with pip install -e")
     facts["recipes"] = str(SCENES.parent)
     return facts, missing
-
-
-def _loads(*names: str) -> bool:
-    """Tell whether libraries can be loaded: in a process of its own, as a broken one may end it."""
-    found = [name for name in map(ctypes.util.find_library, names) if name]
-    code = "import ctypes, sys\nfor name in sys.argv[1:]: ctypes.CDLL(name)"
-    command = [sys.executable, "-c", code, *found]
-    try:
-        tried = subprocess.run(command, capture_output=True, timeout=LOADING_S)
-        return len(found) == len(names) and tried.returncode == 0
-    except (OSError, subprocess.TimeoutExpired):
-        return False
 
 
 def _version(name: str) -> str | None:

@@ -1,21 +1,15 @@
 """The full chain over several exposures of the same light; linear information loses nothing by mirror symmetry."""
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import qmc
 from small_sweep import SET, small
 
 import twin
-import twin.sense.reconstruct as solve
 from twin.arrays import Floats
 from twin.judge.resolution import DIP, dip
-from twin.parts.part import Purpose
 from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import Sweep
 from twin.sense.calibration import Calibration
@@ -24,12 +18,9 @@ from twin.sense.track import Found
 from twin.study.calibrate import nominal_calibration
 from twin.study.doubts import View, shift_sd
 from twin.study.sensor import Sensor
-from twin.study.sweep import fidelities
 from twin.study.sweep.designs import Designs
-from twin.study.sweep.fidelities import Shown, cost, full, linear, resolved_by_sites
+from twin.study.sweep.fidelities import Shown, full, linear, resolved_by_sites
 from twin.study.sweep.loads import Bodies, Pushes
-from twin.world.picture import ccd
-from twin.world.picture.render import Renderer
 
 METRICS = ("total_force_error", "fwhm_mm", "dip", "sd_px")
 BODIES = Bodies()
@@ -68,28 +59,6 @@ def test_noise_over_exposures_is_that_of_theory_and_its_standard_error_that_by_w
         assert 0.0 < few[left] < 0.5 * few[name]
         # Student's t of the three degrees that four exposures have exceeds 5.84 in 1 of 100
         assert abs(few[name] - many[name]) < 5.84 * np.hypot(few[left], many[left]), name
-
-
-def test_the_cost_of_a_design_is_estimated_from_one_exposure(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a clock that only light, exposures and reconstructions move on, so that no other work counts."""
-    clock = [0.0]
-
-    def costly(function: Callable[..., Any], cpu_s: float) -> Callable[..., Any]:
-        def counted(*arguments: Any, **options: Any) -> Any:
-            clock[0] += cpu_s
-            return function(*arguments, **options)
-
-        return counted
-
-    monkeypatch.setattr(fidelities, "time", SimpleNamespace(process_time=lambda: clock[0]))
-    for owner, name, cpu_s in ((Renderer, "radiance", 7.0), (ccd, "expose", 1.0), (solve, "reconstruct", 3.0)):
-        monkeypatch.setattr(owner, name, costly(getattr(owner, name), cpu_s))
-    sweep, design = _design(4, "industrial")
-    pushes = Pushes.of(design.body, sweep.loads, (2.0, 1.5), 1)
-    told = cost(design, sweep, BODIES, pushes)
-    estimated = clock[0]
-    full(design, sweep, BODIES, pushes)
-    assert told["cpu_s"] == pytest.approx(clock[0] - estimated)
 
 
 # --- the designs that sweeps found tell two pillars 2 mm apart, through contact, pictures and tracker
@@ -142,14 +111,6 @@ def _linear(scene: Scene) -> tuple[dict[str, float], Shown]:
     sweep = small()[0]
     pushes = Pushes.of(scene.body, sweep.loads, (2.0, 1.5), 1)
     return linear(scene, View.of(scene), sweep, Bodies(), pushes)
-
-
-def test_presses_are_at_the_places_of_a_scrambled_halton_sequence() -> None:
-    sweep, scene = small()
-    loads = sweep.loads.model_copy(update={"presses": 40})
-    pushes = Pushes.of(scene.body, loads, (2.0, 1.5), 3)
-    u = qmc.Halton(3, scramble=True, rng=Purpose.SAMPLING.stream(3, 1)).random(40)
-    assert np.allclose(pushes.patches.centre_mm[1:41, :2], (2 * u[:, :2] - 1) * (2.0, 1.5), atol=1e-12)
 
 
 @pytest.mark.parametrize("columns", [6, 7])

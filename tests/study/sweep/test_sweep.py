@@ -259,6 +259,16 @@ def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(tmp_path, mo
     again = sweep_run.estimate(*small(), workers=2)[-1][0]
     assert "2 s of CPU a design (an estimate from 4 designs, made before), 3 s to begin" in again
     assert cpu[0] == spent
+    sensors: list[int] = []
+
+    def pictured(scene: Any, few: Any, bodies: Any, pushes: Any) -> tuple[dict[str, float], dict[str, Any]]:
+        sensors.append(few.sensors)
+        return {}, row(scene, None, few, bodies, pushes)[1] or {}
+
+    monkeypatch.setattr(sweep_run, "full", pictured)
+    told = sweep_run.estimate(*small(fidelity=["full"], sensors=5, confirm={"full": 2}), workers=1)[-1][0]
+    assert "6 designs, about 63 s" in told, "all are taken by the first fidelity: 3 s and 6 times 5 times 2"
+    assert sensors == [1, 1]
 
 
 def test_the_command_says_what_it_would_do(tmp_path: Path) -> None:

@@ -22,9 +22,8 @@ less force (`resolved_by_sites`). A coarse grid gives all designs the same two-p
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -34,7 +33,6 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from twin.arrays import Bools, Floats, Picture, Points
-from twin.compiled import COMPILING
 from twin.errors import InputError, RecipeError
 from twin.judge.resolution import dip, full_width, two_point_distance
 from twin.judge.score import GROSS_PX
@@ -71,10 +69,6 @@ core of two."""
 
 _Signs = tuple[int, int]
 """Even (1) or odd (-1) under the mirrors of x and y; 0 where there is no mirror."""
-
-SHORT_S = 1.5
-"""CPU seconds below which an estimate is made twice: a process's first design was measured to take
-up to 0.6 s more than later ones."""
 
 Shown = dict[str, np.ndarray]
 """What the page shows of a design: (k, 3) ``site_mm``, the forces estimated there under the push in
@@ -538,7 +532,7 @@ class _Seen:
     """One made sensor's pictures: (exposures, loads, 3) totals and (exposures, k, 3, loads) forces,
     N; (loads x exposures n, 2) errors of the shifts, the (n,) standard deviations that the tracker
     states, and (loads n, 2) variances over exposures; the share of markers found; the first
-    picture; CPU seconds."""
+    picture."""
 
     sites: Rectangles
     totals: Floats
@@ -548,60 +542,6 @@ class _Seen:
     spread: Floats
     matched: float
     picture: Picture
-    spent: _Spent
-
-
-@dataclass(kw_only=True)
-class _Spent:
-    """CPU seconds of a made sensor until its rest picture, and of every zero, load's light, and
-    exposure."""
-
-    start: float = 0.0
-    zeros: list[float] = field(default_factory=list)
-    lights: list[float] = field(default_factory=list)
-    exposures: list[float] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self._at = time.process_time()
-
-    def lap(self) -> float:
-        """Return the CPU seconds since the last lap."""
-        before = self._at
-        self._at = time.process_time()
-        return self._at - before
-
-    def of(self, loads: int, exposures: int) -> float:
-        """Return the CPU seconds of loads with exposures of each; the first ones prepare what all
-        share."""
-        return (
-            self.start
-            + exposures * self.zeros[-1]
-            + self.lights[0]
-            + (loads - 1) * self.lights[-1]
-            + self.exposures[0]
-            + (loads * exposures - 1) * self.exposures[-1]
-        )
-
-
-def cost(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> dict[str, float]:
-    """Return the CPU seconds that `full` is expected to take: ``cpu_s`` for a design, ``begin_s``
-    once before, from one exposure of two loads by one made sensor."""
-    began = time.process_time()
-    few = sweep.model_copy(update={"loads": sweep.loads.model_copy(update={"exposures": 1})})
-    chosen = pushes.chosen(sweep.loads.pair_mm)
-    sensor = Sensor(_seeded(scene, 0))
-    _calibration(sensor, bodies)
-    next(pushes.motions(sensor, bodies, chosen))  # the bodies are prepared once for all designs
-    compiled, own, tries = 0.0, 0.0, 0
-    # again where a process's own start may be much of it
-    while tries == 0 or COMPILING.spent_s > compiled or (tries == 1 and own < SHORT_S):
-        tries = tries + 1
-        compiled = COMPILING.spent_s
-        began_last = time.process_time()
-        spent = _seen(Sensor(_seeded(scene, 0)), scene, few, bodies, pushes, chosen[:2]).spent
-        own = time.process_time() - began_last
-    each = sweep.sensors * spent.of(len(chosen), sweep.loads.exposures)
-    return {"cpu_s": each, "begin_s": time.process_time() - began - own}
 
 
 def full(
@@ -665,18 +605,13 @@ def _seen(
     from twin.sense.reconstruct import reconstruct
     from twin.sense.track import analyse_rest, track_frame
 
-    spent = _Spent()
     calibration = _calibration(sensor, bodies)
     count = sweep.loads.exposures
     points = sensor.actual.markers.points
     # each round of exposures has a zero of its own, or one zero's noise would be in all of them
     still = sensor.renderer.radiance(sensor.ellipsoids(None))
     rest = analyse_rest(sensor.exposed(still, 0), sensor.layout_px, method=scene.tracking.method)
-    spent.start = spent.lap()
-    zeros = []
-    for k in range(count):
-        zeros.append(track_frame(rest, sensor.exposed(still, 1 + k)))
-        spent.zeros.append(spent.lap())
+    zeros = [track_frame(rest, sensor.exposed(still, 1 + k)) for k in range(count)]
     # a marker's noise is the same in every picture, so that one factorisation serves them all
     stated = np.nanmean([zero.sd_px for zero in zeros], axis=0) if count > 1 else zeros[0].sd_px
     # Each load: one light, several exposures, each tracked and reconstructed.
@@ -691,7 +626,6 @@ def _seen(
     for place, motion in enumerate(pushes.motions(sensor, bodies, chosen)):
         light = sensor.renderer.radiance(sensor.ellipsoids(motion))
         true = sensor.project(points + motion.displacement_mm) - at_rest
-        spent.lights.append(spent.lap())
         shifts = []
         for k in range(count):
             picture = sensor.exposed(light, 1 + count * (1 + place) + k)
@@ -704,7 +638,6 @@ def _seen(
             matched.append(float(np.isfinite(found.shift_px[:, 0]).mean()))
             totals[k, place] = found_field.total_force_n
             forces[k, :, :, place] = found_field.force_n
-            spent.exposures.append(spent.lap())
         # The spread between exposures of one load is the noise alone.
         if count > 1:
             spread.append(np.var(shifts, axis=0, ddof=1))
@@ -717,7 +650,6 @@ def _seen(
         spread=np.concatenate(spread),
         matched=float(np.mean(matched)),
         picture=pictures[0],
-        spent=spent,
     )
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -127,9 +126,12 @@ class Pushes:
     def of(cls, body: Body, loads: Sweep.Loads, half_mm: tuple[float, float], seed: int) -> Pushes:
         """Return the pushes on a body, at quasi-random places of a region with half sides
         ``half_mm``; `RecipeError` where a patch would lie outside the sensing surface."""
+        from scipy.stats import qmc
+
         # Places: the middle, random presses by a scrambled Halton sequence, and pairs around the
         # middle.
-        u = _halton(loads.presses, Purpose.SAMPLING.stream(seed, 1))
+        stream = Purpose.SAMPLING.stream(seed, 1)
+        u = qmc.Halton(3, scramble=True, rng=stream).random(loads.presses)
         pair = np.array(() if loads.probe else PAIRS) * loads.pair_mm
         ends = np.column_stack(
             [np.repeat(pair, 2) / 2 * np.tile([-1.0, 1.0], len(pair)), np.zeros(2 * len(pair))]
@@ -281,20 +283,3 @@ class Bodies:
         made = self.unit(scene, role, patches).to_points(points, patches)
         made /= scene.material.youngs_modulus_mpa
         return made
-
-
-def _halton(count: int, rng: np.random.Generator) -> Floats:
-    """Return (count, 3) points of `scipy.stats.qmc.Halton` (A. Owen 2017), whose import takes half
-    a second."""
-    points = np.zeros((count, 3))
-    own = rng.spawn(1)[0]
-    for axis, base in enumerate((2, 3, 5)):
-        left, share = np.arange(count), 1.0 / base
-        permutations = np.tile(np.arange(base), (math.ceil(54 / math.log2(base)) - 1, 1))
-        for digits in permutations:
-            own.shuffle(digits)
-        for digits in permutations:
-            points[:, axis] += digits[left % base] * share
-            share /= base
-            left = left // base
-    return points

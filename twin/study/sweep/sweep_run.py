@@ -55,7 +55,7 @@ from twin.study.batch.pool import (
 from twin.study.doubts import View
 from twin.study.recipe import load_scene
 from twin.study.sweep.designs import Designs
-from twin.study.sweep.fidelities import Shown, closed, cost, full, linear, resolved_by_sites
+from twin.study.sweep.fidelities import Shown, closed, full, linear, resolved_by_sites
 from twin.study.sweep.loads import REGION, Bodies, Pushes
 
 Row = dict[str, Any]
@@ -65,9 +65,6 @@ FORMAT = 5
 
 CHUNK = {"linear": 16, "full": 1}
 """Designs of one task: what a kill loses at most, a worker each."""
-
-COST = "cost"
-"""Stage of a job that estimates what designs of the full chain cost."""
 
 SHOWN = ("picture", "site_mm", "middle_n", "pair_n")
 """What is kept of a design's full chain for the page."""
@@ -139,8 +136,6 @@ class _Workshop:
             self._pushes[key] = _pushes(self.sweep, self.scene, scene)
         if self.stage == "linear":
             return linear(scene, view, self.sweep, self.bodies, self._pushes[key])[0], None
-        if self.stage == COST:
-            return cost(scene, self.sweep, self.bodies, self._pushes[key]), None
         figures, shown = full(scene, self.sweep, self.bodies, self._pushes[key])
         file = io.BytesIO()
         np.savez_compressed(file, **shown)  # type: ignore[arg-type]
@@ -764,11 +759,14 @@ def _measured(
 ) -> tuple[float, float, list[Row], str]:
     """Return CPU seconds of a design and of the start, the rows tried and how, from the cache if it
     has them."""
-    full = stage == "full"
-    tried = good[:: max(1, len(good) // TRIED)][: 1 if full else TRIED]
+    # Pictures take as long for every made sensor of a design: one sensor of one design stands for
+    # all.
+    most, times = (1, sweep.sensors) if stage == "full" else (TRIED, 1)
+    few = sweep.model_copy(update={"sensors": sweep.sensors // times})
+    tried = good[:: max(1, len(good) // TRIED)][:most]
     values = [designs.values(int(n)) for n in (tried[0], *tried)]  # the first twice: it begins
-    job = _job_of(sweep, scene, COST if full else stage, values, 1)
-    how = f"an estimate from {'1 exposure of 1 design' if full else f'{len(tried)} designs'}"
+    job = _job_of(few, scene, stage, values, 1)
+    how = f"an estimate from {counted(len(tried), 'design')}"
     made_by = json.dumps([job.name, versions(), platform.node()])
     kept = cache_folder() / f"sweep-cost-{hashlib.sha256(made_by.encode()).hexdigest()[:32]}.json"
     with suppress(OSError, ValueError, KeyError):
@@ -776,15 +774,12 @@ def _measured(
         return found["each_s"], found["begin_s"], found["rows"], f"{how}, made before"
     with one_thread(), job.unpacked() as folder:
         began = time.process_time()
-        rows = _make_rows(Path(folder), 0).rows
+        _make_rows(Path(folder), 0)
         started = time.process_time()
-        if full:
-            each = rows[0].get("cpu_s", started - began)
-            begin = rows[0].get("begin_s", 0.0)
-        else:
-            rows = [_make_rows(Path(folder), k).rows[0] for k in range(1, 1 + len(tried))]
-            each = (time.process_time() - started) / len(rows)
-            begin = max(started - began - each, 0.0)
+        rows = [_make_rows(Path(folder), k).rows[0] for k in range(1, 1 + len(tried))]
+        spent = (time.process_time() - started) / len(rows)
+        begin = max(started - began - spent, 0.0)
+        each = times * spent
     if all(row["status"] == "ok" for row in rows):
         with kept_if_possible():
             write_json(kept, {"each_s": each, "begin_s": begin, "rows": rows})
