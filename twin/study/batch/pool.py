@@ -1,19 +1,16 @@
 """Numbered tasks computed here, on all cores, or on a cluster: numbers in, results out, in any
 order.
 
-One worker runs in this process and imports no dask. Several are copies of this process where it can
-be copied (Linux): they start at once, with all that this one has loaded. Elsewhere, after a copy
-has died, and on clusters, workers are dask.distributed's, the only one of the engines tried that
-finished when a worker was killed. A worker unpacks the job's files once, into a folder of its
+One worker runs in this process. Several are processes of this machine: copies of this one where it
+can be copied (Linux), which start at once with all that this one has loaded, else new ones. On a
+cluster they are dask.distributed's, where each unpacks the job's files once, into a folder of its
 own; no common file system is needed. A task that loses its worker is repeated by another; a task
 whose workers die again and again is reported and left out. Results travel to this process, which
 alone writes.
 
-Why copies and not ``concurrent.futures``: its processes can't be killed at once before Python 3.14,
-and Ctrl-C would wait for their tasks.
-
-Peers unpickle what they receive, so the workers of this machine communicate over TLS with a key
-that this process makes and keeps in memory (docs/dataset.md).
+Why not ``concurrent.futures``: its processes can't be killed at once before Python 3.14, and Ctrl-C
+would wait for their tasks. Why not dask on one machine, too: it takes seconds to load, and its
+workers listen on ports.
 """
 
 from __future__ import annotations
@@ -28,10 +25,9 @@ import multiprocessing
 import os
 import platform
 import signal
-import socket
 import sys
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -59,6 +55,8 @@ they are idle, 9 and more with other work, which also makes tasks look longer.""
 RETRIES = 3
 """Workers that a task may lose before it is given up."""
 
+DIED = f"its worker died {RETRIES} times (out of memory?); run again to repeat it"
+
 PATIENCE_S = 20
 """How long to wait for a scheduler."""
 
@@ -71,20 +69,6 @@ FORKS = sys.platform == "linux"
 
 _DIES_WITH_PARENT = 1
 """Linux's PR_SET_PDEATHSIG."""
-
-LOOPBACK = "127.0.0.1"
-
-_LOCAL_SETTINGS = {
-    "distributed.scheduler.allowed-failures": RETRIES,
-    "distributed.scheduler.http.routes": [],
-    "distributed.worker.http.routes": [],
-    "distributed.worker.profile.enabled": False,
-    "distributed.admin.system-monitor.interval": "10s",
-    "distributed.admin.tick.interval": "1s",
-    "distributed.scheduler.active-memory-manager.start": False,
-}
-"""dask's settings for workers of this machine: no pages over HTTP, and no monitoring, which takes
-half of dask's CPU time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,30 +150,37 @@ class Pool:
 
     def __init__(self, workers: int = 1, scheduler: Scheduler | None = None) -> None:
         self._workers = workers
-        self._cluster: Any = scheduler
-        self._copies: list[Any] = []
+        self._scheduler = scheduler
+        self._processes: dict[Any, Any] = {}  # by the pipe to each
         self._folders: dict[str, Path] = {}
-        self._started = ExitStack()
+        self._unpacked = ExitStack()
 
     def __enter__(self) -> Pool:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self._started.close()
+        for pipe in list(self._processes):
+            self._end(pipe)
+        self._unpacked.close()
 
     def run(self, job: Job, numbers: Iterable[int]) -> Iterator[Job.Done]:
         """Compute tasks in the order of their numbers, and yield them as they finish; `InputError`
-        where the scheduler can't be reached."""
+        where the scheduler can't be reached, `MissingCapability` where no process can be
+        started."""
         waiting = deque(numbers)
-        if self._cluster is None and waiting:
-            if job.name not in self._folders:
-                self._folders[job.name] = self._started.enter_context(job.unpacked())
-            yield from self._run_on_this_machine(job, waiting)
-        if waiting:
-            if self._cluster is None:
-                workers = min(self._workers, len(waiting))
-                self._cluster = self._started.enter_context(self.workers_here(workers))
-            yield from self.tasks_on_cluster(job, waiting, self._cluster)
+        if not waiting:
+            return
+        if self._scheduler is not None:
+            yield from self.tasks_on_cluster(job, waiting, self._scheduler)
+            return
+        if job.name not in self._folders:
+            self._folders[job.name] = self._unpacked.enter_context(job.unpacked())
+        if not self._processes:
+            if _can_be_copied():
+                yield from self._run_here(job, waiting, COPY_S)
+            if waiting and not _can_be_copied():
+                yield from self._run_here(job, waiting, START_S)
+        yield from self._run_in_processes(job, waiting)
 
     @staticmethod
     def end_if_too_long() -> None:
@@ -197,40 +188,65 @@ class Pool:
         if time.process_time() > _limit_s[0]:
             raise _TooLong
 
-    def _run_on_this_machine(self, job: Job, waiting: deque[int]) -> Iterator[Job.Done]:
-        """Take tasks off the list and compute them in this process and its copies; the rest is for
-        others."""
-        if not self._copies:
-            if _can_be_copied():
-                yield from self._run_here(job, waiting, COPY_S)
-            if waiting and _can_be_copied():
-                count = min(self._workers, len(waiting))
-                self._copies = self._started.enter_context(_copies(count))
-            elif waiting:
-                yield from self._run_here(job, waiting, START_S)
-        yield from self._run_in_copies(job, waiting)
-
-    def _run_in_copies(self, job: Job, waiting: deque[int]) -> Iterator[Job.Done]:
-        """Take tasks off the list and compute them in copies; the rest, if one died, is for other
-        workers."""
-        idle, given = self._copies, dict[Any, int]()
-        self._copies = []
+    def _run_in_processes(self, job: Job, waiting: deque[int]) -> Iterator[Job.Done]:
+        """Take tasks off the list and compute them in processes; where one dies, another is started
+        and its task goes back on the list."""
+        given: dict[Any, int] = {}
+        lost = Counter[int]()
         try:
-            while given or (waiting and idle):
-                while waiting and idle:
-                    pipe = idle.pop()
-                    given[pipe] = waiting.popleft()
-                    pipe.send((job.work, self._folders[job.name], given[pipe]))
+            while waiting or given:
+                self._start(min(self._workers, len(waiting) + len(given)))
+                for pipe in self._processes.keys() - given.keys():
+                    if waiting:
+                        given[pipe] = waiting.popleft()
+                        with suppress(OSError):  # it has died, as the next `recv` finds
+                            pipe.send((job.work, self._folders[job.name], given[pipe]))
                 ready: list[Any] = wait(given)
                 for pipe in ready:
-                    done: Job.Done = pipe.recv()
-                    del given[pipe]
-                    idle.append(pipe)
+                    number = given.pop(pipe)
+                    try:
+                        done: Job.Done = pipe.recv()
+                    except (EOFError, OSError):
+                        self._end(pipe)
+                        lost[number] += 1
+                        if lost[number] < RETRIES:
+                            waiting.appendleft(number)
+                            continue
+                        done = Job.Done(number, problem=f"task {number}: {DIED}")
                     yield done
-        except (EOFError, OSError):
-            waiting.extendleft(sorted(given.values(), reverse=True))
-        else:
-            self._copies = idle
+        finally:
+            for pipe in given:  # a reply that nobody reads must not be taken for a later task's
+                self._end(pipe)
+
+    def _start(self, count: int) -> None:
+        """Start processes until there are ``count`` of them, fewer where there is no room."""
+        if len(self._processes) >= count:
+            return
+        copied = _can_be_copied()
+        context: Any = multiprocessing.get_context("fork" if copied else "spawn")
+        try:
+            with one_thread():
+                while len(self._processes) < count:
+                    ours, theirs = context.Pipe()
+                    inherited = (*self._processes, ours) if copied else ()
+                    process = context.Process(target=_serve, args=(theirs, inherited), daemon=True)
+                    process.start()
+                    theirs.close()
+                    self._processes[ours] = process
+        except OSError as problem:
+            if not self._processes:
+                raise MissingCapability(
+                    f"worker processes could not be started here ({problem.strerror or problem}): "
+                    "see that there are enough processes, memory, open files and room for "
+                    "temporary files, or take --workers 1"
+                ) from None
+
+    def _end(self, pipe: Any) -> None:
+        """Stop the process at the other end of a pipe."""
+        process = self._processes.pop(pipe)
+        process.kill()
+        process.join()
+        pipe.close()
 
     def _run_here(self, job: Job, waiting: deque[int], start_s: float) -> Iterator[Job.Done]:
         """Take tasks off the list and compute them here until processes pay that take ``start_s``
@@ -251,41 +267,10 @@ class Pool:
                     return
 
     @staticmethod
-    @contextmanager
-    def workers_here(count: int) -> Iterator[Any]:
-        """Start worker processes, which only peers with the key of this cluster reach, and stop
-        them in the end; `MissingCapability` where 127.0.0.1 or room for them is missing."""
-        import dask
-        from distributed import LocalCluster
-        from distributed.security import Security
-
-        _check_loopback()
-        _silence()
-        with dask.config.set(_LOCAL_SETTINGS):
-            try:
-                started = LocalCluster(
-                    n_workers=count,
-                    threads_per_worker=1,
-                    processes=True,
-                    host=LOOPBACK,
-                    security=Security.temporary(),
-                    dashboard_address=f"{LOOPBACK}:0",
-                    scheduler_kwargs={"dashboard": False},
-                    memory_limit=0,
-                    silence_logs=logging.CRITICAL,
-                )
-            except (OSError, RuntimeError, TimeoutError) as problem:
-                raise MissingCapability(
-                    f"{count} worker processes could not be started here ({_cause(problem)}): see "
-                    "that there are enough processes, memory, open files and room for temporary "
-                    "files, or take --workers 1"
-                ) from None
-            with started as cluster:
-                yield cluster
-
-    @staticmethod
-    def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator[Job.Done]:
-        """Compute tasks on `workers_here`, or a scheduler's workers; yield them as they finish."""
+    def tasks_on_cluster(
+        job: Job, numbers: Iterable[int], scheduler: Scheduler
+    ) -> Iterator[Job.Done]:
+        """Compute tasks on a scheduler's workers; yield them as they finish."""
         from distributed import as_completed
         from distributed.diagnostics.plugin import WorkerPlugin
 
@@ -298,7 +283,7 @@ class Pool:
             def setup(self, worker: Any) -> None:
                 _unpack_on_worker(job)
 
-        with _connected(cluster) as client:
+        with _connected(scheduler) as client:
             client.register_plugin(JobFiles())
             waiting = deque(numbers)
             alone = deque[int]()
@@ -335,38 +320,14 @@ def _can_be_copied() -> bool:
     return FORKS and "drjit" not in sys.modules
 
 
-@contextmanager
-def _copies(count: int) -> Iterator[list[Any]]:
-    """Give pipes to ``count`` copies of this process, fewer where there is no room; stop them in
-    the end."""
-    context = multiprocessing.get_context("fork")
-    processes = []
-    pipes: list[Any] = []
-    with one_thread(), suppress(OSError):
-        while len(pipes) < count:
-            ours, theirs = context.Pipe()
-            pipes.append(ours)
-            process = context.Process(target=_serve, args=(theirs, tuple(pipes)), daemon=True)
-            process.start()
-            processes.append(process)
-            theirs.close()
-    try:
-        yield pipes[: len(processes)]
-    finally:
-        for process in processes:
-            process.kill()
-            process.join()
-        for pipe in pipes:
-            pipe.close()
-
-
-def _serve(pipe: Any, others: Sequence[Any]) -> None:
-    """Compute tasks in a copy, which ends with its process at once: it holds a copy of the folder's
-    lock."""
-    ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGKILL)
+def _serve(pipe: Any, inherited: Sequence[Any]) -> None:
+    """Compute tasks in a process that ends with its parent: a copy has ``inherited`` its pipes and
+    holds its lock of the folder."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    for other in others:
+    for other in inherited:
         other.close()
     with suppress(EOFError, OSError):
         while True:
@@ -430,57 +391,28 @@ def _unpack_on_worker(job: Job) -> None:
     _unpacked[job.name] = (stack, stack.enter_context(job.unpacked()))
 
 
-def _cause(problem: BaseException) -> str:
-    """Return the operating system's message under an error, else the error's own."""
-    under: BaseException | None = problem
-    while under is not None and not isinstance(under, OSError):
-        under = under.__cause__ or under.__context__
-    return " ".join(str(under or problem).split()) or type(problem).__name__
-
-
-def _check_loopback() -> None:
-    """Refuse a machine whose loopback is down: dask would wait for its workers for minutes."""
-    try:
-        with (
-            socket.create_server((LOOPBACK, 0)) as server,
-            socket.create_connection(server.getsockname(), timeout=5),
-        ):
-            pass
-    except OSError as problem:
-        raise MissingCapability(
-            f"several workers communicate over {LOOPBACK}, which can't be reached here "
-            f"({problem.strerror or problem}): ip link set lo up, or --workers 1"
-        ) from None
-
-
-def _silence() -> None:
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-
-
-def _connected(cluster: Any) -> Any:
-    """Return a client of `Pool.workers_here` or of a scheduler; `InputError` where that fails."""
+def _connected(scheduler: Pool.Scheduler) -> Any:
+    """Return a client of a scheduler; `InputError` where that fails."""
     from distributed import Client
     from distributed.security import Security
 
-    _silence()
-    if not isinstance(cluster, Pool.Scheduler):
-        return Client(cluster, timeout=PATIENCE_S, direct_to_workers=True)
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         security = None
-        if cluster.key is not None:
+        if scheduler.key is not None:
             security = Security(
                 require_encryption=True,
-                tls_ca_file=str(cluster.ca),
-                tls_client_cert=str(cluster.cert),
-                tls_client_key=str(cluster.key),
+                tls_ca_file=str(scheduler.ca),
+                tls_client_cert=str(scheduler.cert),
+                tls_client_key=str(scheduler.key),
             )
         # the workers may not be reachable from here, so results travel through the scheduler
         return Client(
-            cluster.address, timeout=PATIENCE_S, direct_to_workers=False, security=security
+            scheduler.address, timeout=PATIENCE_S, direct_to_workers=False, security=security
         )
     except (OSError, TimeoutError, ValueError) as problem:
         raise InputError(
-            f"--scheduler {cluster.address}: no dask scheduler replies there "
+            f"--scheduler {scheduler.address}: no dask scheduler replies there "
             f"({type(problem).__name__}); start one with dask scheduler, or leave the option out "
             "to work on this machine"
         ) from None
@@ -493,8 +425,7 @@ def _outcome(numbers: list[int], future: Any) -> tuple[list[Job.Done], float | N
         found, seconds = future.result()
         return found, seconds
     if type(problem).__name__ == "KilledWorker":
-        died = f"its worker died {RETRIES} times (out of memory?); run again to repeat it"
-        return [Job.Done(number, problem=f"task {number}: {died}") for number in numbers], None
+        return [Job.Done(number, problem=f"task {number}: {DIED}") for number in numbers], None
     text = f"{type(problem).__name__}: {problem}"
     return [Job.Done(number, problem=text) for number in numbers], None
 
