@@ -24,6 +24,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kernel
+from twin.compiled import njit
 from twin.sense.centre import Look
 from twin.sense.colour import LUMA, Flaws
 from twin.sense.shape_fit import fit_shapes
@@ -105,8 +106,9 @@ ones."""
 BESIDE = 3
 """So many markers move as a place between them does."""
 
-LEAST_FREE = 0.5
-"""A place counts where so much of the edge's information is over ground that no marker covers."""
+LEAST_FREE = 0.499
+"""A place counts where so much of the edge's information is over ground that no marker covers: less
+than a half, which is in sight, but for rounding, where one side is covered."""
 
 OUTLYING = 3.0
 """A score of more medians counts as one of so many: under moving shadows up to a quarter of a layer
@@ -598,8 +600,8 @@ class BareGround:
     @staticmethod
     def bounded_rms(score: Floats) -> float:
         """Return the root mean square, where more than `OUTLYING` medians count as so many."""
-        score = np.abs(score)
-        return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * np.median(score)) ** 2)))
+        score = np.abs(score).reshape(-1, 1)
+        return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * _middle(score)) ** 2)))
 
     @classmethod
     def of(
@@ -622,7 +624,7 @@ class BareGround:
         if known.sum() < QUADRATIC:
             return None
         places, moved = places[known], moved[known]
-        if _uneven(moved, places, picture)[1] < WHITE * by_noise[1]:
+        if _uneven(moved, places, picture)[1] < WHITE * _middle(by_noise[known])[1]:
             return None
         few = slice(None, None, math.ceil(len(places) / FEW_PLACES))
         places, moved = places[few], moved[few]
@@ -648,13 +650,16 @@ class BareGround:
         count = len(self.places_px)
         widest = max(growth, 1.0) * _widest(templates)
         covered = _covered(picture, self.marks_px + moved_on[count:], widest)
+        places = np.concatenate([self.places_px + moved_on[:count], self.places_px])
+        moved, by_noise = _moved_by_ground(picture, templates, places, covered)
         squares = []
-        for places in (self.places_px + moved_on[:count], self.places_px):
-            moved, by_noise = _moved_by_ground(picture, templates, places, covered)
-            change = moved - self.moved_px
-            if np.isfinite(change[:, 0]).sum() < QUADRATIC:
+        for rows in (slice(count), slice(count, None)):
+            change = moved[rows] - self.moved_px
+            known = np.isfinite(change[:, 0])
+            noise = _middle(by_noise[rows][known]) if known.any() else 0.0
+            if known.sum() < QUADRATIC:
                 change = np.sqrt(2.0) * self.moved_px  # as if the texture were another one
-            square = _uneven(change, self.places_px, picture) - 2.0 * by_noise
+            square = _uneven(change, self.places_px, picture) - 2.0 * noise
             squares.append(np.fmax(square, 0.0))
         (there, _), (here, whole) = squares
         camera = max(whole - here, 0.0) * min(there / max(here, 1e-12), 1.0)
@@ -667,9 +672,7 @@ def _uneven(moved: Floats, places: Pixels, picture: Picture) -> Floats:
     known = np.isfinite(moved[:, 0])
     moved, basis = moved[known], slope_terms(places[known], picture.shape)
     moved = moved - basis @ np.linalg.lstsq(basis, moved, rcond=None)[0]
-    return np.array(
-        [BareGround.bounded_rms(moved[:, axes]) ** 2 for axes in (slice(2), slice(2, 4))]
-    )
+    return np.array([BareGround.bounded_rms(part) ** 2 for part in (moved[:, :2], moved[:, 2:])])
 
 
 def _moved_by_ground(
@@ -677,59 +680,79 @@ def _moved_by_ground(
 ) -> tuple[Floats, Floats]:
     """Return how far the ground moves a usual marker's centre at ``places`` (n, 2), px: (n, 4) by
     what is around the marker, and by that behind it too; NaN where too much is ``covered`` (h, w).
-    And (2,) the usual variances of that by single pixels' noise."""
+    And (n, 2) the variances of that by single pixels' noise."""
     shape = templates.usual_shape
     radius, blur = templates.usual_radius_px, float(shape[6])
     height, width = picture.shape[:2]
     offset = disc_offsets(radius + blur)
-    moved, by_noise = np.full((len(places), 4), np.nan), np.zeros(2)
-    # Places of which enough is bare, and the signal there.
+    moved, by_noise = np.full((len(places), 4), np.nan), np.full((len(places), 2), np.nan)
+    # Places inside the picture, and the ground's slopes there, which are in the model.
     rows = np.flatnonzero(np.isfinite(places[:, 0]))
     middle = np.rint(places[rows]).astype(int)
     reach = np.abs(offset).max()
     inside = ((middle >= reach) & (middle < np.array([width, height]) - reach)).all(axis=1)
     rows, middle = rows[inside], middle[inside]
-    step = np.array([1, width])
-    at = (middle @ step)[:, None] + offset @ step
-    use = 1.0 - covered.ravel()[at]
-    if not templates.sites.all():
-        use *= templates.sites[at // width % 2, at % width % 2]
-    pixels = np.take(picture.reshape(-1, 3), at, axis=0)
-    signal = sum(pixels[:, :, k] * float(templates.own[k]) for k in range(3))
-    # The slopes of the brightness along x, y and the ground, and the share of it in sight.
-    apart = middle - places[rows]
-    if not apart.any():  # whole pixels: all alike
-        apart = apart[:1]
-    x, y = (offset[:, axis] + apart[:, axis, None] for axis in range(2))
-    if templates.ground_slopes.any():  # these are in the model
-        slope = slope_terms(places[rows], picture.shape) @ templates.ground_slopes.T
-        signal -= slope[:, :1] * x + slope[:, 1:] * y
-    far = np.sqrt(x * x + y * y)
-    depth = np.clip((radius - far) / blur, -1.0, 1.0)
-    square = depth * depth
-    bare = 0.5 - depth * (15 / 16 - square * (10 / 16 - square * 3 / 16))
-    edge = 15 / 16 * shape[7] / blur * (1.0 - square) ** 2 / np.maximum(far, 0.5)
-    slopes = np.stack([edge * x, edge * y, np.ones_like(x)], axis=2)
-    products = (slopes[:, :, :, None] * slopes[:, :, None]).reshape(len(slopes), -1, 9)
-    # Least squares at every place: what a marker there would have moved by.
-    matrix = _summed(use, products).reshape(-1, 3, 3)
-    whole = templates.sites.mean() * (slopes[:, :, 0] ** 2).sum(axis=1)
-    free = matrix[:, [0, 1], [0, 1]].min(axis=1) > LEAST_FREE * whole
-    if not free.any():
-        return moved, by_noise
-    matrix[~free] = np.eye(3)
-    inverse = np.linalg.inv(matrix)[:, :2]
-    signal -= ((signal * use).sum(axis=1) / matrix[:, 2, 2])[:, None]
-    for k, seen in enumerate((bare, np.ones_like(bare))):
-        right = _summed(use * signal * seen, slopes)[:, :, None]
-        moved[rows[free], 2 * k : 2 * k + 2] = (inverse @ right)[free, :, 0]
-        square = _summed(use * seen**2, products).reshape(-1, 3, 3)
-        variance = 0.5 * (inverse @ square * inverse).sum(axis=(1, 2))
-        by_noise[k] = np.median(templates.noise[:, 0]) * np.median(variance[free])
+    slope = slope_terms(places[rows], picture.shape) @ templates.ground_slopes.T
+    sums = np.empty((len(rows), 2, 10))
+    seen = (picture, templates.own.astype(float), templates.sites, covered)
+    edge = (radius, blur, float(shape[7]))
+    _sum_ground(*seen, middle, middle - places[rows], slope, offset, edge, sums)
+    # Least squares where enough is bare: what a marker there would have moved by.
+    xx, yy, whole = sums[:, 1, [3, 6, 9]].T
+    free = np.fmin(xx, yy) > LEAST_FREE * templates.sites.mean() * whole
+    rows, sums = rows[free], sums[free]
+    matrix = sums[:, :, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 2, 3, 3)
+    inverse = np.linalg.inv(matrix[:, 1:])[:, :, :2]
+    moved[rows] = (inverse @ sums[:, :, :3, None]).reshape(-1, 4)
+    variance = 0.5 * (inverse @ matrix * inverse).sum(axis=(2, 3))
+    by_noise[rows] = np.median(templates.noise[:, 0]) * variance
     return moved, by_noise
 
 
-def _summed(weights: Floats, terms: Floats) -> Floats:
-    """Return (q, t) sums over the pixels of ``weights`` (q, m) times ``terms`` (q, m, t), or
-    (1, m, t), the same for all."""
-    return weights @ terms[0] if len(terms) == 1 else (weights[:, None] @ terms)[:, 0]
+@njit(cache=True, fastmath=True)
+def _sum_ground(image, own, sites, covered, middle, apart, slope, offset, edge, sums):
+    """Fill ``sums`` (q, 2, 10) over the pixels around each place that are not ``covered`` (h, w).
+
+    With g the slopes of the brightness along x and y, and 1, s the signal less its mean, and b the
+    share of a pixel that no marker hides, or 1: b s g; b b g g (xx, xy, x1, yy, y1, 11); and xx
+    over all pixels.
+    """
+    radius, blur, level = edge
+    count, steepest = len(offset), 15 / 16 * level / blur
+    x, y, value, use, across, along = np.empty((6, count))
+    share = np.ones((2, count))
+    for k in range(len(middle)):
+        n, mean = 0.0, 0.0
+        for p in range(count):
+            i, j = middle[k, 1] + offset[p, 1], middle[k, 0] + offset[p, 0]
+            x[p], y[p] = offset[p, 0] + apart[k, 0], offset[p, 1] + apart[k, 1]
+            value[p] = own[0] * image[i, j, 0] + own[1] * image[i, j, 1] + own[2] * image[i, j, 2]
+            value[p] -= slope[k, 0] * x[p] + slope[k, 1] * y[p]
+            use[p] = 0.0 if covered[i, j] else sites[i % 2, j % 2]
+            n += use[p]
+            mean += use[p] * value[p]
+        mean /= max(n, 1.0)
+        for p in range(count):
+            far = math.sqrt(x[p] * x[p] + y[p] * y[p])
+            depth = min(max((radius - far) / blur, -1.0), 1.0)
+            square = depth * depth
+            share[0, p] = 0.5 - depth * (15 / 16 - square * (10 / 16 - square * 3 / 16))
+            steep = steepest * (1.0 - square) ** 2 / max(far, 0.5)
+            across[p], along[p] = steep * x[p], steep * y[p]
+        for part in range(2):
+            sx, sy, s1, xx, xy = 0.0, 0.0, 0.0, 0.0, 0.0
+            x1, yy, y1, n, whole = 0.0, 0.0, 0.0, 0.0, 0.0
+            for p in range(count):
+                gx, gy, bare = across[p], along[p], share[part, p]
+                signal, w = use[p] * bare * (value[p] - mean), use[p] * bare * bare
+                sx += signal * gx
+                sy += signal * gy
+                s1 += signal
+                xx += w * gx * gx
+                xy += w * gx * gy
+                x1 += w * gx
+                yy += w * gy * gy
+                y1 += w * gy
+                n += w
+                whole += gx * gx
+            sums[k, part] = sx, sy, s1, xx, xy, x1, yy, y1, n, whole

@@ -373,17 +373,15 @@ class Expected:
         signal, use, _ = _signal(picture, templates, middle[:, None] + offset)
         share = signal - _medians(signal, use & (np.hypot(*offset.T) > reach - 1.5))[:, None]
         share /= self.level[:, None]
-        place, least = np.array(start_px, float), np.full(len(rows), np.inf)
-        for step in aside:
-            centre = start_px + step * radius[:, None]
-            x, y = (offset[:, axis] + (middle - centre)[:, axis, None] for axis in range(2))
-            v = np.clip((radius[:, None] - np.sqrt(x * x + y * y)) / blur, -1.0, 1.0)
+        place = np.empty((len(rows), 2))
+        for k, start in enumerate(start_px):
+            centre = start + aside * radius[k]
+            x, y = (offset[:, axis] + (middle[k] - centre)[:, axis, None] for axis in range(2))
+            v = np.clip((radius[k] - np.sqrt(x * x + y * y)) / blur[k], -1.0, 1.0)
             square = v * v
-            left = share - 0.5 - v * (15 / 16 - square * (10 / 16 - square * 3 / 16))
-            left = np.where(left < 0.0, left**2 / (1.0 + (left / MAY_LACK) ** 2), left**2)
-            cost = (left * use).sum(axis=1)
-            better = cost < least
-            place[better], least[better] = centre[better], cost[better]
+            left = share[k] - 0.5 - v * (15 / 16 - square * (10 / 16 - square * 3 / 16))
+            lacks = np.fmin(left, 0.0) / MAY_LACK
+            place[k] = centre[np.argmin((left * left / (1.0 + lacks * lacks)) @ use[k])]
         return place
 
 
@@ -421,14 +419,15 @@ def fit_visible(
     pixels, matrix = np.empty((len(rows), 4, len(offset))), np.empty((len(rows), FREE, FREE))
     right, work = np.empty((len(rows), FREE)), np.empty((FREE + 2, len(offset)))
     for turn in range(LAST):
-        slope = known[:, 3:5] + slope_terms(centre, picture.shape) @ templates.slopes.T
+        terms = slope_terms(centre, picture.shape)
+        slope = known[:, 3:5] + terms @ templates.slopes.T
         axes = expected.axes + change @ STRETCHES
         marks = [middle - centre, axes, slope, known[:, 5:6], expected.blur[:, None]]
         limit = (
             np.maximum(ratio * level, 4.0 * np.sqrt(noise[:, 1])) if turn < FIRST else 0.0 * level
         )
         marks += [ground[:, None], level[:, None], limit[:, None]]
-        marks += [slope_terms(centre, picture.shape) @ templates.ground_slopes.T]
+        marks += [terms @ templates.ground_slopes.T]
         model = np.concatenate(marks, axis=1)
         ratio *= NARROWER
         if turn in (FIRST, LATER):

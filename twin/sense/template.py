@@ -323,13 +323,6 @@ def _sums(
 
 
 @njit(cache=True)
-def _doubtful(noise, level, step):
-    """Return the squared residual at which a pixel counts a quarter; wide while the centre still
-    moves by ``step``."""
-    return OUTLIER_SD**2 * (noise + (IMPERFECT * level) ** 2) + (0.5 * level * min(step, 2.0)) ** 2
-
-
-@njit(cache=True)
 def _inverse_form(xx, xy, yy, scale):
     """Return the inverse square of a symmetric matrix of semi-axes (times ``scale``): xx, xy,
     yy."""
@@ -420,9 +413,10 @@ def _fit_centres(
                 ground_y += ground_slopes[1, term] * value
             fxx, fxy, fyy = _inverse_form(xx, xy, yy, scale)
             left = SHARE * total[14] / total[0] if turn > 0 else 0.0
-            narrow = 1.0 / _doubtful(
-                max(noise[k, 1], left), level, math.sqrt(step) if turn > 0 else 1.0
-            )
+            # a pixel counts a quarter from here on; more may miss while the centre still moves
+            doubtful = OUTLIER_SD**2 * (max(noise[k, 1], left) + (IMPERFECT * level) ** 2)
+            doubtful += (0.5 * level * min(math.sqrt(step) if turn > 0 else 1.0, 2.0)) ** 2
+            narrow = 1.0 / doubtful
             _sums(
                 signal,
                 use,
