@@ -191,7 +191,7 @@ def test_pixels_of_a_preset_have_the_moments_of_emva_1288s_model(preset):
 
 def test_what_a_recipe_adds_to_a_chip_is_found():
     noisy = Ccd(read_noise_e=60.0, dark_current_e_s=1e5, row_noise_e=40.0, column_noise_e=50.0, dsnu_e=30.0, gamma=2.2,
-                quantum_efficiency=(0.5, 0.7, 1.0), jpeg_quality=60, bayer="rggb")  # fmt: skip
+                adc_bits=6, hot_pixels=9, quantum_efficiency=(0.5, 0.7, 1), jpeg_quality=60, bayer="rggb")  # fmt: skip
     found = photon_transfer(noisy)
     assert found.dark_noise_e == pytest.approx(np.sqrt(60**2 + 1000 + 40**2), rel=0.03)
     assert found.dsnu_e == pytest.approx(np.hypot(30, 50), rel=0.05)
@@ -205,6 +205,9 @@ def test_noise_that_eight_bits_hide_is_said_to_be_hidden():
     assert "unknown electrons, stated 32; variance" in dark
     assert "too little, hidden by rounding" in dark
     assert np.isnan(found.dark_noise_e)
+    assert photon_transfer(Ccd(read_noise_e=5.0)).gain_dn_e == pytest.approx(254 / 20000, rel=0.01)
+    with pytest.raises(RecipeError, match="bits = 8: rounding hides the noise"):
+        photon_transfer(Ccd(full_well_e=1e7))
 
 
 @pytest.mark.parametrize("bits", [10, 12])

@@ -138,6 +138,9 @@ def test_in_time_rubber_creeps_from_step_to_step() -> None:
     stay = press.model_copy(update={"steps": (twin.Step(),)})
     with pytest.raises(InputError, match="reset"):
         environment.step(press, 0.0)
+    for wrong in (-1.0, np.nan, "1"):
+        with pytest.raises(InputError, match=f"seconds = {wrong!r}: give a number, 0 or more"):
+            environment.step(press, wrong)
     environment.reset()
     first = environment.step(press, 0.0).truth.state
     later = environment.step(stay, 0.7).truth.state

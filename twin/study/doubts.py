@@ -112,8 +112,6 @@ def _edge_noise(scene: Scene, layer: str) -> tuple[float, float]:
     """Return a layer's contrast (0 where everything is black) and the standard deviation of a
     pixel half on the marker, counts."""
     ccd = scene.ccd.spelt_out()
-    assert ccd.full_well_e is not None
-    assert ccd.read_noise_e is not None
     marker = scene.markers[layer]
     dark = max(scene.cover.albedo) if scene.cover is not None else 0.03
     brightest = max(dark, *(max(each.colour) for each in scene.markers.values()))

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import TYPE_CHECKING
 
 from twin.arrays import Floats, Picture, Pixels, Points, Progress
@@ -78,16 +79,6 @@ class Observation:
         defined.
     exposure
         Number of the picture's noise.
-
-    Examples
-    --------
-    >>> import twin
-    >>> quick = {"accuracy.contact_patches": 8, "accuracy.centroid_px": 0.05}
-    >>> environment = twin.Environment(twin.load_scene("kamiyama_pillar", quick))
-    >>> load = twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0, 0, 1))
-    >>> observation = environment.step(load)
-    >>> observation.error["total_force_error"] < 0.1
-    True
     """
 
     picture: Picture
@@ -128,6 +119,8 @@ class Environment:
     >>> observation = environment.step(load)
     >>> bool(0.9 < observation.total_force_n[2] < 1.1)  # N
     True
+    >>> observation.error["total_force_error"] < 0.1
+    True
 
     A probe is pressed on, then moved on sideways from where it is:
 
@@ -137,10 +130,6 @@ class Environment:
     >>> moved = environment.step(twin.Step(move_mm={"x": 0.05}))
     >>> bool(moved.truth.total_force_n[0] > 0.01)  # N
     True
-
-    Notes
-    -----
-    Loads and presses without seconds are independent: each starts from the rest state.
     """
 
     def __init__(self, scene: Scene, progress: Progress | None = None) -> None:
@@ -188,8 +177,11 @@ class Environment:
         ContactError
             The press has no equilibrium, or did not come to its end.
         """
+        if isinstance(load, Step) and seconds is None:
+            seconds = load.seconds
+        if seconds is not None and not (isinstance(seconds, Real) and 0.0 <= seconds < math.inf):
+            raise InputError(f"seconds = {seconds!r:.60}: give a number, 0 or more")
         if isinstance(load, Step):
-            seconds = load.seconds if seconds is None else seconds
             load = self._moved_on(load)
         else:
             self._last = None
@@ -197,8 +189,6 @@ class Environment:
             self._loads = []
             self._press = None
             self._history = None
-        elif not 0.0 <= seconds < math.inf:
-            raise InputError(f"seconds = {seconds!r}: give 0 or more")
         elif isinstance(load, Press):
             load = self._followed(load, seconds)
         else:

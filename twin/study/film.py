@@ -11,7 +11,6 @@ from __future__ import annotations
 import io
 import time
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +28,6 @@ from twin.study.sensor import Motion, Sensor
 
 if TYPE_CHECKING:
     from twin.world.contact.contact_state import ContactState
-    from twin.world.picture.cover import CoverMotion
 
 PARTS = 8
 """Frames of a step of an animated picture."""
@@ -152,26 +150,12 @@ class Exposures:
         self._motion = motion
         self._known: dict[int, tuple[Motion, Pixels]] = {}
 
-    @cached_property
-    def _rest(self) -> Motion:
-        points = self.sensor.actual.markers.points
-        cover: CoverMotion | None = None
-        background = self.sensor.renderer.background
-        if background is not None:
-            from twin.world.picture.cover import CoverMotion
-
-            still = np.zeros_like(background.moving)
-            cover = CoverMotion(displacement_mm=still, gradient=np.zeros((len(still), 3, 3)))
-        still = np.zeros_like(points)
-        gradient = np.zeros((len(points), 3, 3))
-        return Motion(displacement_mm=still, gradient=gradient, error=0.0, cover=cover)
-
     def _state(self, number: int) -> tuple[Motion, Pixels]:
         """Return motion and places, px, of the markers in a state; number 0 is rest."""
         if number not in self._known:
             if len(self._known) >= _KEPT:
                 self._known.pop(min(self._known))
-            motion = self._motion(number - 1) if number else self._rest
+            motion = self._motion(number - 1) if number else self.sensor.quick_motion(Load())
             places = self.sensor.actual.markers.points + motion.displacement_mm
             self._known[number] = motion, self.sensor.project(places)
         return self._known[number]
@@ -189,17 +173,12 @@ class Exposures:
         second, _ = self._state(number + 1)
         begin, end = self.time_s[number : number + 2]
         share = (time_s - begin) / (end - begin)
-
-        def between(one: Floats, other: Floats) -> Floats:
-            middle: Floats = one + share * (other - one)
-            return middle
-
         cover = first.cover or second.cover
         if first.cover is not None and second.cover is not None:
             cover = first.cover.between(second.cover, share)
         return Motion(
-            displacement_mm=between(first.displacement_mm, second.displacement_mm),
-            gradient=between(first.gradient, second.gradient),
+            displacement_mm=(1 - share) * first.displacement_mm + share * second.displacement_mm,
+            gradient=(1 - share) * first.gradient + share * second.gradient,
             error=max(first.error, second.error),
             cover=cover,
         )
@@ -222,7 +201,6 @@ class Exposures:
         sensor = self.sensor
         ccd = sensor.nominal.ccd.spelt_out()
         camera, _ = sensor.nominal.imaging
-        assert ccd.exposure_ms is not None
         speed = self.speed_px_s(time_s, (ccd.exposure_ms + ccd.readout_ms) / 2000)
         offset_s, weights = shutter(ccd, camera.height_px, speed)
         renderer = sensor.renderer_of(frame)
@@ -238,7 +216,6 @@ class Exposures:
         """Return the CCD picture of an exposure whose middle is at a time; ``exposure`` is the
         number of its noise, ``frame`` that by which `Light.lit` says which LEDs shine."""
         ccd = self.sensor.nominal.ccd.spelt_out()
-        assert ccd.frames_per_second is not None
         half_s = 0.5 / ccd.frames_per_second
         before = self.light(time_s - half_s, frame) if ccd.interlace else None
         return self.sensor.exposed(self.light(time_s, frame), exposure, before)

@@ -2,8 +2,8 @@
 
 The pictures are the program's own, of even light and of darkness, so that what a recipe states is
 compared with what its pictures have. Measured is the chip: without lens, mosaic, gamma, video and
-compression, as the standard wants raw data; and above a black level that keeps dark noise from
-being cut off at 0.
+compression, as the standard wants raw data; without failed pixels and `adc_bits`; and above a black
+level that keeps dark noise from being cut off at 0.
 
 References
 ----------
@@ -91,7 +91,6 @@ class _PhotonTransfer:
     def facts(self, ccd: Ccd) -> list[Fact]:
         """Return what was found of a CCD, and what the recipe states of it."""
         full = ccd.spelt_out()
-        assert full.full_well_e is not None
         black = _black_dn(ccd)
         gain = (2**ccd.bits - 1) * (1 - black / 255) / full.full_well_e
         spread = np.hypot(full.dsnu_e or 0.0, full.column_noise_e)
@@ -136,7 +135,7 @@ def photon_transfer(ccd: Ccd) -> _PhotonTransfer:
     Raises
     ------
     RecipeError
-        The CCD has no noise, by which its gain is measured.
+        The CCD has no noise, by which its gain is measured, or rounding hides it.
     """
     if not ccd.spelt_out().noise:
         raise RecipeError(
@@ -147,6 +146,7 @@ def photon_transfer(ccd: Ccd) -> _PhotonTransfer:
     off = {"gamma": 1.0, "psf_px": 0.0, "black_dn": black, "bayer": "none", "interlace": False}
     off |= {"bandwidth_mhz": "off", "jpeg_quality": "off", "white_balance": "off"}
     off |= dict.fromkeys(("haze", "ghost", "smear", "flicker", "auto_exposure", "auto_gain"), 0)
+    off |= dict.fromkeys(("hot_pixels", "dead_pixels", "adc_bits"), 0)
     chip = ccd.model_copy(update=off)
     rng = np.random.default_rng(1)
     pattern = Pattern.drawn(chip, SIZE_PX, rng)
@@ -164,9 +164,17 @@ def photon_transfer(ccd: Ccd) -> _PhotonTransfer:
     pairs = [(flat(level), flat(level)) for level in _LEVELS]
     mean = np.array([(one.mean() + two.mean()) / 2 for one, two in pairs])
     variance = np.array([np.var(one - two) / 2 for one, two in pairs])
-    signal, noise = mean - mean[0], variance - variance[0]
+    signal, noise = mean - mean[0], variance - max(variance[0], _ROUNDING_DN2)
     top = int(np.argmax(variance))
-    below = slice(1, int(np.searchsorted(signal, _FITTED * signal[top])))
+    # Up to the fit's end, and above the last level whose noise rounding hides.
+    last = int(np.searchsorted(signal, _FITTED * signal[top]))
+    hidden = np.flatnonzero(variance[:last] < LEAST_DARK_DN2)
+    below = slice(hidden[-1] + 1 if len(hidden) else 1, last)
+    if below.start > last / 2:
+        raise RecipeError(
+            f"ccd.bits = {ccd.bits}: rounding hides the noise by which electrons are counted; give "
+            "more bits, or a smaller ccd.full_well_e"
+        )
     gain = float(signal[below] @ noise[below] / (signal[below] @ signal[below]))
     dark = max(variance[0] - _ROUNDING_DN2, 0.0)
     # A straight line by relative deviations: what is judged is their mean.
@@ -196,9 +204,6 @@ def photon_transfer(ccd: Ccd) -> _PhotonTransfer:
 def _dark_e(ccd: Ccd) -> float:
     """Return the noise in time of dark pictures that a recipe states, electrons."""
     full = ccd.spelt_out()
-    assert full.read_noise_e is not None
-    assert full.dark_current_e_s is not None
-    assert full.exposure_ms is not None
     gathered = full.dark_current_e_s * full.exposure_ms / 1000
     return float(np.sqrt(full.read_noise_e**2 + gathered + full.row_noise_e**2))
 
@@ -207,7 +212,6 @@ def _black_dn(ccd: Ccd) -> float:
     """Return a black level at which no dark noise is cut off at 0: six standard deviations, and a
     quarter of a count, where rounding adds its usual variance whatever the noise is."""
     full = ccd.spelt_out()
-    assert full.full_well_e is not None
     spread = np.hypot(full.dsnu_e or 0.0, full.column_noise_e)
     most = 2**ccd.bits - 1
     least = 6 * most * np.hypot(_dark_e(ccd), spread) / full.full_well_e

@@ -98,7 +98,8 @@ def test_a_twisted_sphere(share):
 @SLOW
 @pytest.mark.parametrize("nu", [0.3, 0.5])
 def test_a_dragged_sphere_slips_everywhere_and_follows(nu):
-    one, slid, further = rubbed(push(PUSH), sideways(0.4), sideways(0.2), nu=nu)
+    one, slid, further, held = rubbed(push(PUSH), sideways(0.4), sideways(0.2), sideways(0.0), nu=nu)
+    assert not held.slip.any()  # at its bound, but it does not move
     for state in (slid, further):
         assert state.slip.all()
         assert_allclose(shear_of(state), MU * state.pressure_mpa, rtol=1e-8)

@@ -228,6 +228,9 @@ def test_a_cover_that_moves_and_tilts_is_lit_like_one_that_stands_so():
     assert factor[239:241, 319:321].mean() == pytest.approx((after / before)[0], rel=1e-4)
     still = ground.change(CoverMotion(displacement_mm=0 * moved, gradient=0 * gradient))
     assert_allclose(still, 1, atol=1e-6)
+    # With the sides in view, places lie in the body, where their motion is known.
+    sides = made.model_copy(update={"camera": made.camera.model_copy(update={"focal_px": 300.0})})
+    made.body.require_inside(Background(sides, 1.0).points)
 
 
 def test_the_window_mirrors_a_disc_of_light_where_and_as_bright_as_it_stands():

@@ -49,6 +49,10 @@ _AT_BOUND = 1.0 - 1e-9
 """A patch that slipped before stands at its bound, to round-off, and slips on unless its load
 turns."""
 
+_SLIPS = 1.0 + 1e-7
+"""Trial force over the bound above which a patch slips: what is held at its bound does not, though
+round-off moves it."""
+
 _LEAST_SHARE = 1e-5
 _MOST_SHARE = 1e-3
 """Residual over the right-hand side: the least that single precision reaches, and the largest that
@@ -598,7 +602,7 @@ def _settled(
         pose=trial.pose,
         active=active,
         total=problem.total(force),
-        slipping=active & (dragged > problem.most_sideways(trial.force[:, 2])),
+        slipping=active & (dragged > _SLIPS * problem.most_sideways(trial.force[:, 2])),
         residual=_residual(trial, lever_arm),
         steps=steps,
     )

@@ -35,6 +35,13 @@ from twin.world.picture.lamps import Lamps
 _STEP_PX = 16
 """Distance between the rays of the grid."""
 
+_BEYOND = 0.05
+"""Share of the picture's size that the grid goes on beyond each border, where a wide pupil's blur
+mixes what lies there into the picture."""
+
+_WITHIN_MM = 1e-6
+"""How far beyond the body's sides its motion is known."""
+
 _HALVINGS = 6
 """Of the way to the body's edge between two of them: to a third of a pixel."""
 
@@ -62,15 +69,10 @@ class CoverMotion:
 
     def between(self, other: CoverMotion, share: float) -> CoverMotion:
         """Return the motion at a share of the way to another."""
-
-        def middle(one: Floats, two: Floats) -> Floats:
-            between: Floats = one + share * (two - one)
-            return between
-
         both = zip(self.probes, other.probes, strict=False)
         return CoverMotion(
-            displacement_mm=middle(self.displacement_mm, other.displacement_mm),
-            gradient=middle(self.gradient, other.gradient),
+            displacement_mm=(1 - share) * self.displacement_mm + share * other.displacement_mm,
+            gradient=(1 - share) * self.gradient + share * other.gradient,
             probes=tuple(a.between(b, share) for a, b in both) or other.probes,
         )
 
@@ -98,8 +100,13 @@ class Background:
         camera, _ = scene.imaging
         self._scene, self._top = scene, top
         self._size = (camera.height_px, camera.width_px)
+        more = _BEYOND if camera.aperture_mm else 0.0
         self._columns, self._rows = (
-            np.linspace(-0.5, size - 0.5, max(size // _STEP_PX, 1) + 1)
+            np.linspace(
+                -more * size - 0.5,
+                (1 + more) * size - 0.5,
+                max(int((1 + 2 * more) * size) // _STEP_PX, 1) + 1,
+            )
             for size in (camera.width_px, camera.height_px)
         )
         nodes = np.stack(np.meshgrid(self._columns, self._rows), axis=-1).reshape(-1, 2)
@@ -107,7 +114,7 @@ class Background:
         points, normals = np.full((2, len(nodes), 3), np.nan)
         if scene.cover is not None:
             depth = scene.cover.thickness_mm
-            points, normals = _places_at(origins, directions, scene.body, depth)
+            points, normals = _places_at(origins, directions, scene.body, depth, _WITHIN_MM)
             self._draw_to_edge(nodes, points, normals, depth)
         self.deforms = scene.cover is not None and scene.cover.deforms
         """Whether pictures show how a press moves the cover."""
@@ -134,7 +141,7 @@ class Background:
         for _ in range(_HALVINGS):
             middle = (inside + outside) / 2
             found, turned = _places_at(
-                *rays(middle, *self._scene.optics), self._scene.body, depth_mm
+                *rays(middle, *self._scene.optics), self._scene.body, depth_mm, _WITHIN_MM
             )
             there = np.isfinite(found[:, 0])
             points[late[there]], normals[late[there]] = found[there], turned[there]
@@ -169,7 +176,7 @@ class Background:
     def specks(self, motion: CoverMotion | None) -> list[tuple[Camera.Marks, Ellipsoids]]:
         """Return marks in the rubber and their shapes after a motion; None: at rest."""
         found = []
-        last = len(self.moving) - sum(len(places) for _, places in self._specks)
+        last = len(self.points) if self.deforms else 0
         for marks, places in self._specks:
             first, last = last, last + len(places)
             axes = np.tile(marks.size_mm / 2 * np.eye(3), (len(places), 1, 1))
@@ -392,10 +399,10 @@ class _Exits:
 
 
 def _places_at(
-    origins: Points, directions: Floats, body: Body, depth_mm: float
+    origins: Points, directions: Floats, body: Body, depth_mm: float, beyond_mm: float = 1e-3
 ) -> tuple[Points, Floats]:
     """Return (n, 3) places where rays inside a body at rest meet a level set of the depth, mm, and
-    its inward normals; NaN for none.
+    its inward normals; NaN for none, and for those farther beyond its sides.
 
     The depth is an exact distance: rays march by it.
     """
@@ -412,7 +419,7 @@ def _places_at(
         if not np.any(np.abs(gap) > 1e-4):
             break
     places = start + along * distance[:, None]
-    hits = (body.piece_distances(places)[:, 1:] > -1e-3).all(axis=1) & (np.abs(gap) < 1e-2)
+    hits = (body.piece_distances(places)[:, 1:] > -beyond_mm).all(axis=1) & (np.abs(gap) < 1e-2)
     points[seen[hits]] = places[hits]
     normals[seen[hits]] = body.piece_normals(places[hits])[:, 0]
     return points, normals

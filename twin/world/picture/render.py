@@ -131,6 +131,7 @@ class Renderer:
                 cameras = [coloured.imaging[0]]
             for weight, camera in zip(weights, cameras, strict=False):
                 part = self._like(self.variant, **{**tables, "camera": camera})
+                part.background = self.background  # whose places `radiance` gets the motion of
                 self._parts.append((np.float32(weight) * share, part))
 
     @staticmethod
@@ -361,10 +362,15 @@ class _PathRenderer(Renderer):
         light = (1 - share) * self._path_tracer.radiance(markers, cover)
         if share > 0:
             light += share * self._evenly_lit.radiance(markers)
-        if (behind := self._view.behind(() if cover is None else cover.probes)) is not None:
-            light += (1 - self._drawn(markers, self._unit)[1])[:, :, None] * behind
-        self._add_specks(light, markers, cover)
-        return light
+        # What has no path, through each point of the pupil.
+        seen = np.zeros_like(light)
+        for weight, part in self._parts or [(np.ones(3, np.float32), self)]:
+            one = light.copy()
+            if (behind := part._view.behind(() if cover is None else cover.probes)) is not None:
+                one += (1 - part._drawn(markers, self._unit)[1])[:, :, None] * behind
+            part._add_specks(one, markers, cover)
+            seen += weight * one
+        return seen
 
     @cached_property
     def _evenly_lit(self) -> Renderer:
