@@ -15,7 +15,9 @@ SIZE = (400, 300)
 STEPS = {"square": np.eye(2), "hexagonal": np.array([[1, 0], [0.5, np.sqrt(0.75)]])}
 
 
-def grid(lattice="square", pitch=26.0, angle=0.0, bend=0.0, lean=0.0, missing=0.0, jitter=0.0, middle=(0.0, 0.0)):
+def grid(
+    lattice="square", pitch=26.0, angle=0.0, bend=0.0, lean=0.0, missing=0.0, jitter=0.0, middle=(0.0, 0.0), room=1e3
+):
     """Sites (n, 2) and centres, px, of a grid seen askew (lean) through a lens that bends it towards the middle."""
     rng = np.random.default_rng(2)
     count = int(600 / pitch)
@@ -29,10 +31,12 @@ def grid(lattice="square", pitch=26.0, angle=0.0, bend=0.0, lean=0.0, missing=0.
     places = places * (1 - bend * radius**2)[:, None] * 200 + (np.array(SIZE) - 1) / 2
     places += rng.normal(0, jitter * pitch, places.shape)
     keep &= ((places > -4) & (places < np.array(SIZE) + 3)).all(axis=1)
+    keep &= np.hypot(*(places - [200, 150]).T) < room - 9
     return sites[keep], places[keep]
 
 
-def drawn(places, diameter=10.0, dark=True, dirt=0, fading=0.0, psf=0.8):
+def drawn(places, diameter=10.0, dark=True, dirt=0, fading=0.0, psf=0.8, room=1e3):
+    """The picture, black beyond ``room`` px from its middle."""
     rng = np.random.default_rng(3)
     share = cover(SIZE, places, diameter, psf)
     for _ in range(dirt):
@@ -40,7 +44,8 @@ def drawn(places, diameter=10.0, dark=True, dirt=0, fading=0.0, psf=0.8):
     share = np.minimum(share, 1.0)
     light = 170.0 - 120.0 * share if dark else 30.0 + 130.0 * share
     row, column = np.mgrid[: SIZE[1], : SIZE[0]]
-    light *= 1 - fading * np.hypot(column - 200, row - 150) ** 2 / 250**2
+    away = np.hypot(column - 200, row - 150)
+    light *= (1 - fading * away**2 / 250**2) * (0.03 + 0.97 / (1 + np.exp(np.clip(away - room, -50, 50))))
     return expose(np.repeat(light[..., None], 3, axis=2), 1)
 
 
@@ -69,11 +74,12 @@ def numbers_follow(layer, sites, spot):
         {"lattice": "hexagonal", "angle": 17.0, "bend": 0.15, "missing": 0.2},
         {"lattice": "hexagonal", "lean": 0.2},
         {"jitter": 0.05},
+        {"room": 130.0, "angle": 20.0, "pitch": 22.0},
     ],
 )
 def test_every_whole_dot_is_found_and_none_else(options):
     sites, places = grid(**options)
-    (layer,) = twin.find_layout(drawn(places, fading=0.4)).layers.values()
+    (layer,) = twin.find_layout(drawn(places, fading=0.4, room=options.get("room", 1e3))).layers.values()
     off, spot = cKDTree(places).query(layer.centre_px)
     assert off.max() < 1.0
     assert len(set(spot)) == len(spot)
@@ -83,7 +89,7 @@ def test_every_whole_dot_is_found_and_none_else(options):
     assert layer.polarity == "dark"
     assert layer.diameter_px == pytest.approx(10, rel=0.06)
     if not {"bend", "lean"} & set(options):
-        assert layer.pitch_px == pytest.approx(26, rel=0.01)
+        assert layer.pitch_px == pytest.approx(options.get("pitch", 26), rel=0.01)
         turn = 90 if layer.lattice == "square" else 60
         assert (layer.angle_deg - options.get("angle", 0) + turn / 2) % turn == pytest.approx(turn / 2, abs=0.3)
 

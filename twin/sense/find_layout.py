@@ -19,7 +19,7 @@ from itertools import product
 from typing import Any, Literal
 
 import numpy as np
-from scipy.ndimage import median_filter, zoom
+from scipy.ndimage import binary_dilation, distance_transform_edt, label, median_filter, zoom
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, frozen
@@ -34,6 +34,10 @@ COARSE_PX = 60
 GROUND_SHARE = 0.35
 """Width of the window of the ground's median, over the shorter side of the picture: a few pitches,
 so that the dots are less than half of it."""
+
+SURROUND, BLACK = 0.05, 0.1
+"""Black around a sensor, such as its housing: it reaches the picture's frame, has the area of a
+square of so much of the picture's shorter side, and less than so much of the brightest ground."""
 
 LEAST_DN, LEAST_SNR = 8.0, 4.0
 """Least contrast of a dot, counts, and over the noise of a pixel."""
@@ -230,23 +234,44 @@ def _contrast(picture: Picture) -> tuple[Singles, float]:
     """Return what a picture has beside its ground, (h, w, 3) counts, and the noise of a pixel.
 
     Where dots are dark the ground's shading is taken off: an LED's colour then doesn't look like
-    the colour of the dots in front of it.
+    the colour of the dots in front of it. And black around the sensor doesn't count: with the dots
+    next to it it is more than half of a median's window.
     """
+    away, ground = _less_ground(picture, np.zeros(picture.shape[:2], bool))
+    steps = np.abs(np.diff(away[::2], axis=1))
+    noise = float(max(1.4826 * np.median(steps) / np.sqrt(2.0), 0.2))
+    low, high = np.quantile(away.sum(axis=2), [0.002, 0.998])
+    if low < -0.25 * high:
+        parts, _ = label(picture.max(axis=2) < BLACK * np.quantile(ground.max(axis=2), 0.9))
+        at_frame = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
+        wide = np.bincount(parts.ravel()) > (SURROUND * min(parts.shape)) ** 2
+        surround = wide[parts] & np.isin(parts, at_frame) & (parts > 0)
+        if surround.any():
+            away, ground = _less_ground(picture, surround)
+            low, high = np.quantile(away.sum(axis=2), [0.002, 0.998])
+    if low + high < 0:
+        usual = np.median(ground, axis=(0, 1))
+        away *= np.clip(usual / np.maximum(ground, 1.0), 0.25, 4.0)
+    return away, noise
+
+
+def _less_ground(picture: Picture, surround: Bools) -> tuple[Singles, Singles]:
+    """Return what a picture has beside its ground, and that, (h, w, 3) counts; the ``surround`` (h,
+    w) of the sensor has nothing, and the ground of what is next to it."""
     height, width = picture.shape[:2]
     step = max(1, min(height, width) // COARSE_PX)
     coarse = picture[::step, ::step].astype(np.float32)
+    if surround.any():
+        around = binary_dilation(surround[::step, ::step])
+        near = distance_transform_edt(around, return_distances=False, return_indices=True)
+        coarse = coarse[tuple(near)]
     window = max(3, round(GROUND_SHARE * min(coarse.shape[:2])))
     middle = median_filter(coarse, size=(window, window, 1), mode="nearest")
     scale = (height / coarse.shape[0], width / coarse.shape[1], 1)
     ground = zoom(middle, scale, order=1, mode="nearest", grid_mode=True)[:height, :width]
     away = picture - ground
-    steps = np.abs(np.diff(away[::2], axis=1))
-    noise = float(max(1.4826 * np.median(steps) / np.sqrt(2.0), 0.2))
-    total = away.sum(axis=2)
-    if np.quantile(total, 0.002) + np.quantile(total, 0.998) < 0:
-        usual = np.median(ground, axis=(0, 1))
-        away *= np.clip(usual / np.maximum(ground, 1.0), 0.25, 4.0)
-    return away, noise
+    away[binary_dilation(surround, iterations=2)] = 0.0
+    return away, ground
 
 
 def _colourings(away: Singles, noise: float) -> Iterator[list[Weights]]:
@@ -261,7 +286,7 @@ def _colourings(away: Singles, noise: float) -> Iterator[list[Weights]]:
         before = top
         if top < max(LEAST_DN, LEAST_SNR * noise):
             return
-        samples = away[strength > max(0.3 * top, 3.0 * noise)]
+        samples = away[(strength > max(0.3 * top, 3.0 * noise)) & away.any(axis=2)]
         samples = samples[:: max(1, len(samples) // 4000)].astype(float)
         pair = projections(samples, 2)
         if len(pair) == 2 and 0.03 < np.mean(samples @ pair[0] > 0.0) < 0.97:
