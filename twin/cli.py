@@ -174,14 +174,16 @@ def _usage_error(problem: CycloptsError) -> str:
     if isinstance(problem, UnusedCliTokensError):
         tokens = " ".join(map(repr, problem.unused_tokens or ()))
         return f"what is {tokens}? The command takes no more arguments"
-    if isinstance(problem, MissingArgumentError) and problem.argument is not None:
-        wanted = problem.argument
+    if isinstance(problem, MissingArgumentError) and problem.argument and problem.command_chain:
+        wanted, command = problem.argument, app[problem.command_chain[0]]
+        known = command.assemble_argument_collection(parse_docstring=True)
+        about = next(one.parameter.help for one in known if one.name == wanted.name)
         if problem.keyword is not None:
             count = wanted.token_count()[0]
             values = "a value" if count < 2 else f"{count} values"
-            return f"{problem.keyword} needs {values}: {wanted.parameter.help}"
+            return f"{problem.keyword} needs {values}: {about}"
         name = wanted.name if wanted.index is None else wanted.name.lstrip("-").upper()
-        return f"{name} is missing: {wanted.parameter.help}"
+        return f"{name} is missing: {about}"
     return str(problem)
 
 

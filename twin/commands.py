@@ -23,6 +23,7 @@ from cyclopts import Parameter, Token
 from twin.errors import InputError, MissingCapability, SomeFailed
 from twin.files import fact
 from twin.parts.methods import WANTED, Method, WeightRule
+from twin.study.new_scene import Pad
 
 if TYPE_CHECKING:
     from twin.arrays import Progress
@@ -66,33 +67,34 @@ Overrides = Annotated[
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class _Batch:
-    """Options of the commands that compute many samples or designs."""
+    """Options of the commands that compute many samples or designs.
 
-    out: Annotated[Path | None, Parameter(help="Folder of the results (default out/<name>).")] = (
-        None
-    )
-    workers: Annotated[
-        Whole | None,
-        Parameter(help="Processes on this machine (default: its cores, fewer for small jobs)."),
-    ] = None
-    scheduler: Annotated[
-        str | None,
-        Parameter(
-            help="dask scheduler whose workers are used: tcp://host:8786, or tls:// with the "
-            "files below. Without TLS whoever reaches it can run code as you."
-        ),
-    ] = None
-    tls_ca: Annotated[
-        Path | None,
-        Parameter(help="PEM file of the authority that signed the cluster's certificates."),
-    ] = None
-    tls_cert: Annotated[
-        Path | None, Parameter(help="PEM file of a certificate for this process.")
-    ] = None
-    tls_key: Annotated[Path | None, Parameter(help="PEM file of that certificate's key.")] = None
-    dry_run: Annotated[bool, Parameter(help="Only print the job's size and the time it takes.")] = (
-        False
-    )
+    Attributes
+    ----------
+    out
+        Folder of the results (default out/<name>).
+    workers
+        Processes on this machine (default: its cores, fewer for small jobs).
+    scheduler
+        dask scheduler whose workers are used: tcp://host:8786, or tls:// with the files below.
+        Without TLS whoever reaches it can run code as you.
+    tls_ca
+        PEM file of the authority that signed the cluster's certificates.
+    tls_cert
+        PEM file of a certificate for this process.
+    tls_key
+        PEM file of that certificate's key.
+    dry_run
+        Only print the job's size and the time it takes.
+    """
+
+    out: Path | None = None
+    workers: Whole | None = None
+    scheduler: str | None = None
+    tls_ca: Path | None = None
+    tls_cert: Path | None = None
+    tls_key: Path | None = None
+    dry_run: bool = False
 
     def workers_and_scheduler(self) -> tuple[int, Pool.Scheduler | None]:
         """Return the number of processes, at least one, and the scheduler; None without an
@@ -352,19 +354,19 @@ _Layers = Annotated[
 ]
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class _Pad(Pad):
+    depth_mm: _Layers = ()
+    pitch_mm: _Layers = ()
+    diameter_mm: _Layers = ()
+    resolution: tuple[Whole, Whole] = (640, 480)
+
+
 def scenes(
     *,
     new: Path | None = None,
-    size_mm: tuple[float, float, float] = (25.0, 25.0, 4.0),
-    modulus_mpa: float = 0.2,
-    depth_mm: _Layers = (),
-    pitch_mm: _Layers = (),
-    diameter_mm: _Layers = (),
-    camera_mm: float | None = None,
-    fov_deg: float | None = None,
-    sensor_mm: float | None = None,
-    focal_mm: float | None = None,
-    resolution: tuple[Whole, Whole] = (640, 480),
+    pad: _Pad = _Pad(),
 ) -> _Output:
     """List the shipped scenes, or write a recipe of your own sensor.
 
@@ -375,20 +377,6 @@ def scenes(
     ----------
     new
         Write a recipe of this name (.toml).
-    size_mm
-        Width (along the picture's rows), length and thickness of the pad, mm.
-    modulus_mpa
-        Young's modulus, MPa.
-    camera_mm
-        From the back of the pad to the lens, mm.
-    fov_deg
-        Full angle of the picture's width, degrees (default 39).
-    sensor_mm
-        Or: width of the camera's chip, mm,
-    focal_mm
-        and focal length of its lens, mm.
-    resolution
-        Width and height of the picture, px.
 
     Examples:
     twin scenes
@@ -396,20 +384,6 @@ def scenes(
     twin scenes --new mine --size-mm 30 20 5 --modulus-mpa 0.15 --pitch-mm 1.5 --fov-deg 60
     """
     if new is not None:
-        from twin.study.new_scene import Pad
-
-        pad = Pad(
-            size_mm=size_mm,
-            modulus_mpa=modulus_mpa,
-            depth_mm=depth_mm,
-            pitch_mm=pitch_mm,
-            diameter_mm=diameter_mm,
-            camera_mm=camera_mm,
-            fov_deg=fov_deg,
-            sensor_mm=sensor_mm,
-            focal_mm=focal_mm,
-            resolution=resolution,
-        )
         file, lines = pad.write(new)
         yield lines[0], {"file": str(file)}
         yield from lines[1:]

@@ -4,6 +4,7 @@ import inspect
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,13 +93,13 @@ def test_a_press_that_moves_nothing_visibly_is_said_once_everywhere(tmp_path, sa
         Pad(size_mm=(100, 100, 40)),
         Pad(size_mm=(100, 60, 5), modulus_mpa=2),
         Pad(size_mm=(100, 6, 3)),
-        Pad(pitch_mm=(8,), fov_deg=60),
+        Pad(pitch_mm=(3,), fov_deg=60),
         Pad(depth_mm=(0.5, 1.5)),
         Pad(pitch_mm=(2,), camera_mm=60, sensor_mm=4.8, focal_mm=8, resolution=(1280, 960)),
     ],
 )
 def test_what_is_written_is_a_scene_without_doubts(pad: Pad, tmp_path: Path) -> None:
-    file, (line,) = pad.write(tmp_path / "mine")
+    file, (line, *unseen) = pad.write(tmp_path / "mine")
     assert file == tmp_path / "mine.toml"
     assert line.startswith(str(file))
     scene = twin.load_scene(tmp_path / "mine.toml")
@@ -108,6 +109,17 @@ def test_what_is_written_is_a_scene_without_doubts(pad: Pad, tmp_path: Path) -> 
     assert half > 0, "every site lies on the surface, or this is refused"
     assert scene.reconstruction is not None
     assert scene.reconstruction.method == "local"
+    for text in unseen:
+        assert text.startswith("the pad has room for")
+        further = replace(pad, camera_mm=float(text.split()[-3]))
+        assert len(further.write(tmp_path / "further")[1]) == 1, "from there every dot is seen, or more would be said"
+
+
+def test_sparse_dots_on_thin_rubber_are_doubted(tmp_path: Path) -> None:
+    *_, line = Pad(size_mm=(30, 30, 3), pitch_mm=(3,)).write(tmp_path / "mine")[1]
+    assert line.startswith(
+        "warning: markers.dots.pitch_mm = 3 mm: sparse on rubber 3 mm thick (usual: up to 0.8 of it)"
+    )
 
 
 @pytest.mark.slow

@@ -200,14 +200,12 @@ def track(
     --------
     >>> import numpy as np
     >>> import twin
-    >>> row, column = np.mgrid[0:120, 0:160]
-    >>> def dots(moved_px):
-    ...     away = np.hypot((column - moved_px) % 20 - 10, row % 20 - 10)
-    ...     return (20 + 200 * np.clip(5.5 - away, 0, 1)).astype(np.uint8)
+    >>> away = np.hypot(*(np.mgrid[0:120, 0:160] % 20 - 10))
+    >>> dots = (20 + 200 * np.clip(5.5 - away, 0, 1)).astype(np.uint8)
     >>> layout = {"dots": np.mgrid[10:160:20, 10:120:20].reshape(2, -1).T}
-    >>> found = twin.track(dots(0), dots(1.5), layout)
+    >>> found = twin.track(dots, np.roll(dots, 2, axis=1), layout)
     >>> round(float(np.median(found.shift_px[:, 0])), 1)
-    1.5
+    2.0
     """
     tracker = Tracker(
         rest_image,
@@ -251,13 +249,11 @@ class Tracker:
     --------
     >>> import numpy as np
     >>> import twin
-    >>> row, column = np.mgrid[0:120, 0:160]
-    >>> def dots(moved_px):
-    ...     away = np.hypot((column - moved_px) % 20 - 10, row % 20 - 10)
-    ...     return (20 + 200 * np.clip(5.5 - away, 0, 1)).astype(np.uint8)
+    >>> away = np.hypot(*(np.mgrid[0:120, 0:160] % 20 - 10))
+    >>> dots = (20 + 200 * np.clip(5.5 - away, 0, 1)).astype(np.uint8)
     >>> layout = {"dots": np.mgrid[10:160:20, 10:120:20].reshape(2, -1).T}
-    >>> tracker = twin.Tracker(dots(0), layout)
-    >>> found = [tracker.track(dots(moved)) for moved in (1.0, 2.0)]
+    >>> tracker = twin.Tracker(dots, layout)
+    >>> found = [tracker.track(np.roll(dots, moved, axis=1)) for moved in (1, 2)]
     >>> [round(float(np.median(one.shift_px[:, 0])), 1) for one in found]
     [1.0, 2.0]
     """

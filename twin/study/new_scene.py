@@ -15,10 +15,6 @@ from pathlib import Path
 
 from twin.errors import InputError
 from twin.files import write_whole
-from twin.parts.markers import MarkerSet
-from twin.parts.scene import Scene
-from twin.study.doubts import doubts
-from twin.study.recipe import validate_scene
 
 SILICONE, ACRYLIC = 1.41, 1.49
 """Refractive indices."""
@@ -32,8 +28,27 @@ LEAST_DOTS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Pad:
-    """What a maker knows of a pad, as `twin.commands.scenes` explains it; of the dots a number a
-    layer. What is None follows from the size."""
+    """What a maker knows of a pad. What is None or empty follows from the size.
+
+    Attributes
+    ----------
+    size_mm
+        Width (along the picture's rows), length and thickness of the pad, mm.
+    modulus_mpa
+        Young's modulus, MPa.
+    depth_mm, pitch_mm, diameter_mm
+        Of the dots, mm: one number, or two for two layers.
+    camera_mm
+        From the back of the pad to the lens, mm.
+    fov_deg
+        Full angle of the picture's width, degrees (default 39).
+    sensor_mm
+        Or: width of the camera's chip, mm,
+    focal_mm
+        and focal length of its lens, mm.
+    resolution
+        Width and height of the picture, px.
+    """
 
     size_mm: tuple[float, float, float] = (25.0, 25.0, 4.0)
     modulus_mpa: float = 0.2
@@ -49,6 +64,10 @@ class Pad:
     def write(self, path: Path) -> tuple[Path, list[str]]:
         """Write a recipe; return its file, and lines about it with what is unlikely in it.
         `InputError` for numbers out of range, dots that don't fit, or a file of this name."""
+        from twin.parts.markers import MarkerSet
+        from twin.study.doubts import doubts
+        from twin.study.recipe import validate_scene
+
         if not path.name:
             raise InputError(f"--new '{path}': give the name of a file, such as mine.toml")
         target = path if path.suffix == ".toml" else path.with_name(path.name + ".toml")
@@ -56,14 +75,14 @@ class Pad:
             raise InputError(f"{target}: is there already; give another name, or move it away")
         if not target.parent.is_dir():
             raise InputError(f"{target}: there is no folder {target.parent}; make it first")
-        text = _recipe_of(self)
+        text, unseen = _recipe_of(self)
         table = tomllib.loads(text)
         scene = validate_scene(table, str(target))
         MarkerSet.place(scene.body, scene.markers)
         write_whole(target, text.encode())
         dots = [f"{layer.columns} x {layer.rows} {name}" for name, layer in scene.markers.items()]
         said = f"{target}: {', '.join(dots)}; now: twin run {target}"
-        return target, [said, *(f"warning: {line}" for line in doubts(scene))]
+        return target, [said, *unseen, *(f"warning: {line}" for line in doubts(scene))]
 
 
 def _in_range(option: str, value: float, unit: str, low: float, high: float, remedy: str) -> None:
@@ -116,21 +135,25 @@ def _fov(pad: Pad) -> float:
 
 def _layer_tables(
     pad: Pad, layers: list[tuple[float, float, float]], distance: float, plate: float, focal: float
-) -> tuple[str, tuple[float, float]]:
-    """Return the tables of the layers, and what the dots of the first one span along x and y, mm.
+) -> tuple[str, tuple[float, float], list[str]]:
+    """Return the tables of the layers, what the dots of the first one span along x and y, mm, and a
+    line on how many more of it fit on the pad.
 
     There are as many dots as the camera sees, on the pad without its border.
     """
     *sides, thickness = pad.size_mm
     extent = (0.0, 0.0)
-    text = ""
+    text, unseen = "", []
     for number, (depth, pitch, diameter) in enumerate(layers):
         # what the camera sees at this depth, refraction shortening the way
         way = distance - plate + plate / ACRYLIC + (thickness - depth) / SILICONE
         seen = [0.95 * way * px / 2 / focal - diameter for px in pad.resolution]
         room = [side / 2 - max(0.06 * side, diameter) for side in sides]
         half = [min(pair) for pair in zip(seen, room, strict=True)]
-        columns, rows = (min(int(2 * h / pitch + 1e-9) + 1, 200) - number for h in half)
+        most, (columns, rows) = (
+            [min(int(2 * h / pitch + 1e-9) + 1, 200) - number for h in each]
+            for each in (room, half)
+        )
         if min(columns, rows) < LEAST_DOTS:
             raise InputError(
                 f"--pitch-mm {pitch:g} mm: only {max(columns, 0)} x {max(rows, 0)} dots fit "
@@ -140,6 +163,14 @@ def _layer_tables(
             )
         if number == 0:
             extent = (pitch * (columns - 1), pitch * (rows - 1))
+            if most != [columns, rows]:
+                short = [(r + diameter) / (s + diameter) for r, s in zip(room, seen, strict=True)]
+                all_at = math.ceil(distance + way * (max(short) - 1) + 1)
+                wide, high = (2 * s + diameter for s in seen)
+                unseen.append(
+                    f"the pad has room for {most[0]} x {most[1]} dots, but the picture shows only "
+                    f"{wide:.3g} x {high:.3g} mm of it; --camera-mm {all_at} shows all"
+                )
         name, colour, shares = "dots", "black", [0.03, 0.03, 0.03]
         if len(layers) == 2:
             name = colour = ("red", "blue")[number]
@@ -155,17 +186,15 @@ rows = {rows}             # along y
 colour = {shares}  # reflectance in red, green, blue
 assumed = "{colour} dots, as given to twin scenes --new"
 """
-    return text, extent
+    return text, extent, unseen
 
 
-def _recipe_of(pad: Pad) -> str:
-    """Return the text of a recipe.
-
-    Raises
-    ------
-    InputError
-        Numbers out of their range, or dots that don't fit.
+def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
+    """Return the text of a recipe, and a line on dots that the camera doesn't see; `InputError` for
+    numbers out of range, or dots that don't fit.
     """
+    from twin.parts.scene import Scene
+
     width, length, thickness = pad.size_mm
     sides = (width, length)
     for side in sides:
@@ -182,7 +211,7 @@ def _recipe_of(pad: Pad) -> str:
     plate = min(3.0, distance / 4)
     focal = pad.resolution[0] / 2 / math.tan(math.radians(fov / 2))
     layers = _layers(pad)
-    tables, extent = _layer_tables(pad, layers, distance, plate, focal)
+    tables, extent, unseen = _layer_tables(pad, layers, distance, plate, focal)
     height = thickness + distance
     led = round(max(1.0, 0.48 * min(sides)), 3)
     led_z = round(height - 0.08 * (distance - plate), 3)
@@ -206,7 +235,7 @@ def _recipe_of(pad: Pad) -> str:
     room = Scene.Tolerance(depth_mm=slack).most_of_thickness_mm(thickness, deepest)
     thickness_sd = min(0.02 * thickness, 0.9 * room)
     printed = min(0.03, min(pitch for _, pitch, _ in layers) / 20)
-    return f"""title = "A pad of {width:g} x {length:g} x {thickness:g} mm, by twin scenes --new"
+    text = f"""title = "A pad of {width:g} x {length:g} x {thickness:g} mm, by twin scenes --new"
 seed = 1              # another number: another made sensor, other noise
 assumed.seed = "any number will do"
 
@@ -295,3 +324,4 @@ rows = {site_rows}
 pitch_mm = {site:.4g}
 assumed = "over the dots"
 """
+    return text, unseen

@@ -71,11 +71,6 @@ class Relaxation:
         mean = _fading(seconds / late_s)[1]
         return float(1.0 + share @ (1.0 - mean * np.exp(-since_s / late_s)))
 
-    def dynamic_modulus(self, frequency: Floats | float) -> np.ndarray:
-        """Return the complex modulus (G' + i G'')/G0 at angular frequencies (...), 1/s."""
-        turned = 1j * np.asarray(frequency)[..., None] * self.time_s
-        return np.asarray(1.0 - (1.0 / (1.0 + turned)) @ self.share)
-
     @cached_property
     def retardation(self) -> tuple[Floats, Floats]:
         """(n,) shares c_j and (n,) times theta_j, s, of the creep function.

@@ -11,7 +11,7 @@ from slabs import block_boxes
 from standard_bodies import BLOCK, FINGER, write_stl
 
 from twin.errors import InputError, MeshError, TwinError
-from twin.files import MESHES
+from twin.files import MESHES, PINNED
 from twin.parts.body import Block, Finger, Solid
 from twin.world.mesh import body_mesh as making
 from twin.world.mesh.body_mesh import body_mesh, build_mesh
@@ -277,6 +277,17 @@ def test_a_shipped_mesh_is_stretched_to_another_size(no_mesher, body):
     straight = np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))).sum() / 6.0
     near = 1e-9 if isinstance(body, Block) else 0.02
     assert straight == pytest.approx(body.volume_mm3, rel=near)
+
+
+def test_the_given_mesh_is_stretched_to_the_thickness_of_a_made_sensor(no_mesher, tmp_path):
+    """A dataset's processes make no mesh: every sensor with a tolerance of thickness failed."""
+    drawn, made = (Block(width_mm=50, length_mm=45, thickness_mm=t) for t in (20, 20.4))
+    with PINNED.to(tmp_path), pytest.raises(MeshError, match="not among the given ones"):
+        body_mesh(made, "coarse")
+    mesh = body_mesh(drawn, "coarse")
+    mesh.write(tmp_path / Sizing.of(drawn, "coarse").mesh_file(drawn), {"level": "coarse", "body": drawn.geometry()})
+    with PINNED.to(tmp_path):
+        assert body_mesh(made, "coarse").points == pytest.approx(mesh.points * [1, 1, 1.02])
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from itertools import combinations
 from pathlib import Path
@@ -52,18 +53,19 @@ def body_mesh(
     key = sizing.mesh_key(body)
     if (folder := PINNED.folder) is not None:
         path = folder / sizing.mesh_file(body)
-        if not path.is_file():
-            raise MeshError(
-                f"mesh of level {level}: not among the given ones, and no other is made"
-            )
-        return Mesh.read(path)
+        if path.is_file():
+            return Mesh.read(path)
+        if (stretched := _stretched(body, level, folder.glob("mesh-*.npz"))) is not None:
+            return stretched
+        raise MeshError(f"mesh of level {level}: not among the given ones, and no other is made")
     cached = cache_folder() / sizing.mesh_file(body)
     if not rebuild:
         for path in [cached, *sorted(MESHES.glob(f"*.{level}.npz"))]:
             found = _matching(path, key)
             if found is not None:
                 return found
-        if (stretched := _stretched(body, level)) is not None:
+        shipped = MESHES.glob(f"*.{level}.npz")
+        if (stretched := _stretched(body, level, shipped)) is not None:
             return stretched
 
     damaged = cached.exists()
@@ -94,14 +96,16 @@ ALL_ALIKE = 2.4
 alike."""
 
 
-def _stretched(body: Body, level: Level) -> Mesh | None:
-    """Return the shipped mesh of a body of this shape, stretched to this one, if that passes the
-    quality gates.
+def _stretched(body: Body, level: Level, paths: Iterable[Path]) -> Mesh | None:
+    """Return a mesh of this level and of a body of this shape, stretched to this one, if that
+    passes the quality gates.
 
     A block is any other block stretched along its axes; other shapes must be scaled copies.
     """
-    for path in sorted(MESHES.glob(f"*.{level}.npz")):
+    for path in sorted(paths):
         mesh, provenance = Mesh.load(path)
+        if provenance.get("level", level) != level:
+            continue
         ratio = _ratio(identity(provenance["body"]), identity(body.geometry()))
         if ratio is not None:
             made = replace(mesh, points=frozen(mesh.points * ratio))
