@@ -33,6 +33,7 @@ FLAT = "kamiyama_pillar"
         ({"camera.focal_px": 25.0}, r"0\.1\d* px wide"),
         ({"camera.focal_px": 20000.0}, r"% of them lie outside the picture .* check camera.focal_px .in px"),
         ({"camera.tilt_deg": [0.0, 30.0, 0.0]}, "markers.red: 100 % of them lie outside"),
+        ({"renderer": "path", "markers.red.gloss": [2, 0.2], "markers.red.texture": [0.3, 0.2]}, "texture: .* none"),
         ({"tolerance.depth_mm": 2.0}, "tolerance.depth_mm = 2 mm: .* take at most 1.2 mm"),
         ({"tolerance.print_mm": 0.5}, "neighbours change places; take at most 0.3 mm"),
         ({"press.probe.diameter_mm": 0.005}, "press.probe: 0.005 mm wide, a needle"),

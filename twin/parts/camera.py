@@ -276,17 +276,13 @@ class Light(Part):
     outside: tuple[Power, Power, Power] = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
-    def _colours_are_of_leds(self) -> Light:
+    def _leds_are_known(self) -> Light:
         if self.colours and len(self.colours) != len(self.positions_mm):
             raise ValueError(
                 f"colours: {len(self.colours)} for {len(self.positions_mm)} LEDs: give one for each"
             )
         if self.colours and not np.any(self.colours):
             raise ValueError("colours: every LED is dark; give one a power above 0")
-        return self
-
-    @model_validator(mode="after")
-    def _groups_are_of_leds(self) -> Light:
         count = len(self.positions_mm)
         for number, group in enumerate(self.lit):
             if not group or len(set(group)) < len(group) or not set(group) <= set(range(count)):
@@ -583,7 +579,7 @@ class Ccd(Part):
     flicker_hz: float = Field(default=100.0, gt=0, le=1e6)
     auto_exposure: Share = 0.0
     auto_gain: Share = 0.0
-    white_balance: tuple[Gain, Gain, Gain] | Literal["grey"] | Off = "off"
+    white_balance: tuple[Gain, Gain, Gain] | Literal["grey", "off"] = "off"
     adc_bits: int = Field(default=0, ge=0, le=16)
     bits: Literal[8, 10, 12] = 8
     exposure: float = Field(default=1.0, gt=0, le=1000)
@@ -601,14 +597,12 @@ class Ccd(Part):
                 f"crosstalk = {crosstalk:g}: must be 0 to 0.3, or a matrix of three rows of three "
                 "shares"
             )
-        if not isinstance(crosstalk, float) and not all(
-            0 <= share <= 1 for row in crosstalk for share in row
-        ):
+        rows = () if isinstance(crosstalk, float) else crosstalk
+        if not all(0 <= share <= 1 for row in rows for share in row):
             raise ValueError("crosstalk: every share of the matrix must be 0 to 1")
-        if not isinstance(crosstalk, float) and not all(sum(row) > 0 for row in crosstalk):
+        if not all(sum(row) > 0 for row in rows):
             raise ValueError(
-                "crosstalk: a row of the matrix is all 0, so that channel sees nothing: give it "
-                "a share"
+                "crosstalk: a row of the matrix is all 0: its channel sees nothing; give it a share"
             )
         if self.quantum_efficiency is not None and not all(
             0 < share <= 1 for share in self.quantum_efficiency

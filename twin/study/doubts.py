@@ -257,6 +257,11 @@ def _of_markers(scene: Scene) -> Iterator[str]:
                 f"{scene.body.layer_mm:g} mm thick (usual: up to {_SPARSE:g} of it); on such pads "
                 "forces were up to 27 % off, 2.6 times what is stated; take a smaller pitch"
             )
+        if scene.renderer == "path" and layer.gloss and layer.texture:
+            yield (
+                f"markers.{name}.texture: renderer = 'path' draws none below gloss; "
+                "leave one out, or take another renderer"
+            )
         if tolerance.preset == "none":
             continue
         if CUT * tolerance.depth_mm > layer.depth_mm:
