@@ -265,7 +265,8 @@ class DiscFit(SoftWindow):
                 rival = cls._by(picture, spot, replace(signal, own=signal.brightness), marks)
                 if rival.roughness_px < SMOOTHER * group.roughness_px:
                     group = replace(rival, templates=replace(rival.templates, coherent=True))
-            groups.append(group)
+            bare = BareGround.of(picture, group.templates, group.around.rest_px, marks)
+            groups.append(replace(group, bare=bare))
         return groups
 
     @property
@@ -314,7 +315,6 @@ class DiscFit(SoftWindow):
                 "sd_px": sd,
                 "usual_sd_px": np.sqrt(2.0 * (sd**2 + SD_FLOOR_PX**2) + covered**2),
                 "templates": templates,
-                "bare": BareGround.of(picture, templates, rest_px, marks),
                 "pictures": pictures,
             }
         )
