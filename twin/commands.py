@@ -551,7 +551,7 @@ def calibrate(
     folder: Path | None = None,
     /,
     *,
-    scene: str | None = None,
+    scene: SceneName | None = None,
     out: Path | None = None,
     method: Literal["sato", "fitted", "compliance", "halfspace"] | None = None,
     layout_from: Path | None = None,
@@ -579,8 +579,6 @@ def calibrate(
     ----------
     folder
         Recording of a real sensor: rest.png, pictures, presses.csv (else the twin's).
-    scene
-        Path of a scene file, or the name of a shipped scene (see: twin scenes).
     out
         Calibration file to write (.npz); with --layout-from tables (.toml).
     method

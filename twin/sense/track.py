@@ -202,7 +202,7 @@ def track(
     >>> import twin
     >>> away = np.hypot(*(np.mgrid[0:120, 0:160] % 20 - 10))
     >>> dots = (20 + 200 * np.clip(5.5 - away, 0, 1)).astype(np.uint8)
-    >>> layout = {"dots": np.mgrid[10:160:20, 10:120:20].reshape(2, -1).T}
+    >>> layout = twin.find_layout(dots).layout_px
     >>> found = twin.track(dots, np.roll(dots, 2, axis=1), layout)
     >>> round(float(np.median(found.shift_px[:, 0])), 1)
     2.0
@@ -251,7 +251,7 @@ class Tracker:
     >>> import twin
     >>> away = np.hypot(*(np.mgrid[0:120, 0:160] % 20 - 10))
     >>> dots = (20 + 200 * np.clip(5.5 - away, 0, 1)).astype(np.uint8)
-    >>> layout = {"dots": np.mgrid[10:160:20, 10:120:20].reshape(2, -1).T}
+    >>> layout = twin.find_layout(dots).layout_px
     >>> tracker = twin.Tracker(dots, layout)
     >>> found = [tracker.track(np.roll(dots, moved, axis=1)) for moved in (1, 2)]
     >>> [round(float(np.median(one.shift_px[:, 0])), 1) for one in found]

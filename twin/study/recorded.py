@@ -81,9 +81,19 @@ def reconstruct_recording(
     """Reconstruct recorded frames: yield a line and a record of each and lines of a summary, write
     table and drawings.
 
-    `twin.commands.reconstruct` explains the arguments (``layout`` is its ``format``). ``options``
-    are those of `twin.sense.reconstruct.reconstruct`; None is the calibration's recipe, also for
-    the rate.
+    Parameters
+    ----------
+    rest, sources, calibration
+        Picture without load, or a folder of one a group of LEDs; pictures, folders, videos, or
+        ``-`` for raw frames; file.
+    out, overlay
+        Table (.parquet, .csv, .npz); where motion is drawn: .png, folder, video.
+    size, layout
+        Of raw frames: 640x480; rgb24 or gray8.
+    frames_per_second, times
+        Of rubber that relaxes: rate, 0 for none, or a CSV file of frame, time_s.
+    options
+        As `twin.sense.reconstruct.reconstruct`; None, also for the rate: the calibration's.
 
     Raises
     ------
