@@ -364,6 +364,17 @@ def test_a_sphere_that_comes_along_the_normal_stays_where_it_touched(friction):
     assert_allclose(centre_of(askew), centre_of(touching), atol=5e-3)
 
 
+@pytest.mark.parametrize(("force", "degrees"), [(0.3, 8.0), (5e-3, 30.0)])
+def test_a_sphere_rolls_over_incompressible_rubber_without_a_side_force(force, degrees):
+    """Turned about its lowest point, it rolls to where its middle goes: 0.6, and three contact widths, on."""
+    start, end = rubbed(push(force), push(force, turn_deg=(0.0, degrees, 0.0)), probe=Sphere(diameter_mm=6))
+    way = 3.0 * math.sin(math.radians(degrees))
+    assert_allclose(end.force_n, [0.0, 0.0, force], atol=2e-3 * force)
+    assert_allclose(centre_of(end) - centre_of(start), [-way, 0.0, 0.0], atol=2.5e-2 * way)
+    assert end.indentation_mm == pytest.approx(start.indentation_mm, rel=4e-2)
+    assert end.contact_radius_mm == pytest.approx(start.contact_radius_mm, rel=4e-2)
+
+
 # --- slides of many contact widths ----------------------------------------------------------------
 
 

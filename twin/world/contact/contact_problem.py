@@ -16,7 +16,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from typing import Protocol
 
 import numpy as np
@@ -32,6 +32,7 @@ from twin.world.contact.friction_law import STICKS_FROM
 from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence
 from twin.world.contact.probe_gap import (
     ABOUT_X,
+    ABOUT_Y,
     MOTIONS,
     Approach,
     PlacedProbe,
@@ -349,10 +350,8 @@ class ContactProblem:
         """Every probe with its piece of the patches and of the place."""
         ends = list(accumulate(map(len, self.grids), initial=0))
         return tuple(
-            (setup, slice(first, end), slice(MOTIONS * number, MOTIONS * (number + 1)))
-            for number, (setup, (first, end)) in enumerate(
-                zip(self.setups, pairwise(ends), strict=True)
-            )
+            (setup, slice(*ends[n : n + 2]), slice(MOTIONS * n, MOTIONS * (n + 1)))
+            for n, setup in enumerate(self.setups)
         )
 
     @cached_property
@@ -411,8 +410,6 @@ class ContactProblem:
 
     def gap(self, pose: Floats) -> tuple[Floats, Floats]:
         """Return (k,) gaps, mm, and their (k, 6 p) slopes at a place."""
-        if len(self.grids) == 1:
-            return self.gap_under(0, pose)
         gap = np.zeros(len(self.patches))
         slope = np.zeros((len(self.patches), len(pose)))
         for number, (_, rows, motions) in enumerate(self.rows):
@@ -595,19 +592,20 @@ class FrictionalContact:
         none = [not history.touched[rows].any() for _, rows, _ in self.contacts.rows]
         return np.asarray(np.array(none)[self.contacts.owner])
 
-    def sideways(self, pose: Floats) -> Floats:
-        """Return a place without its motions along the directions of approach."""
-        return np.where(self.contacts.along_z, 0.0, pose)
+    @cached_property
+    def _rolls(self) -> Bools:
+        """(6 p,) the turns of round probes about x and y, with which contact moves on."""
+        turns = np.isin(np.arange(MOTIONS), [ABOUT_X, ABOUT_Y])
+        return np.concatenate([turns & (setup.face is None) for setup in self.contacts.setups])
 
-    def _slid_gap(self, slid_mm: Floats, lowered_mm: Floats) -> tuple[Floats, Floats]:
+    def _slid_gap(self, slid_mm: Floats, moved: Floats) -> tuple[Floats, Floats]:
         """Return gaps, and slopes, of probes that slid by (p, 2) but not carried the surface along,
-        and then moved by (p, 3) along their own axes."""
+        and then moved by (p, 6) along and about their own axes."""
         gap = np.zeros(len(self.patches))
         slope = np.zeros((len(self.patches), len(self.contacts.along_z)))
         for number, (setup, rows, motions) in enumerate(self.contacts.rows):
             grid = self.contacts.grids[number]
-            place = np.zeros(MOTIONS)
-            place[: Z + 1] = lowered_mm[number]
+            place = moved[number].copy()
             if setup.face is None:
                 place[:Z] += slid_mm[number]
             elif self.carried_mm is not None:
@@ -642,14 +640,15 @@ class FrictionalContact:
         self, towards: Floats, history: ContactHistory, pose: Floats
     ) -> tuple[Floats, Floats]:
         """Return `gap` from `_normal_motion`, which no place changes."""
-        lowered = towards * pose[self.contacts.along_z][:, None]
-        gap, slope = self._slid_gap(history.slid_mm, lowered)
+        moved = np.where(self._rolls, pose, 0.0).reshape(-1, MOTIONS)
+        moved[:, : Z + 1] = towards * pose[self.contacts.along_z][:, None]
+        gap, slope = self._slid_gap(history.slid_mm, moved)
         own = slope.reshape(len(gap), -1, MOTIONS)[:, :, : Z + 1]
-        along_z = np.zeros_like(slope)
-        along_z[:, self.contacts.along_z] = np.einsum("kpi,pi->kp", own, towards)
+        slope[:, self.contacts.along_z] = np.einsum("kpi,pi->kp", own, towards)
         normal = self.contact_jacobian[:, 2]
-        slope = np.where(self.contacts.along_z, along_z, -normal)
-        gap = gap - normal @ self.sideways(pose)
+        comes = self.contacts.along_z | self._rolls
+        slope = np.where(comes, slope, -normal)
+        gap = gap - normal @ np.where(comes, 0.0, pose)
         stuck = history.touched & self.rubs
         gap[stuck] = (
             history.closed_mm[stuck] + self._slid_since(history)[stuck] - normal[stuck] @ pose
@@ -666,7 +665,7 @@ class FrictionalContact:
         key = slid_mm.tobytes()
         if key not in self._gaps:
             self._gaps.clear()
-            self._gaps[key] = self._slid_gap(slid_mm, np.zeros((len(self.friction), 3)))[0]
+            self._gaps[key] = self._slid_gap(slid_mm, np.zeros((len(self.friction), MOTIONS)))[0]
         return self._gaps[key]
 
     @cached_property
@@ -687,7 +686,8 @@ class FrictionalContact:
 
         After a lift the probe touches again where it now is: its motion sideways counts from there.
         """
-        here = -np.einsum("kad,d->ka", self.contact_jacobian[:, :2], self.sideways(history.pose))
+        aside = np.where(self.contacts.along_z, 0.0, history.pose)
+        here = -np.einsum("kad,d->ka", self.contact_jacobian[:, :2], aside)
         offset = history.offset_mm
         if history.moved_mm is not None:
             offset = offset - history.moved_mm[:, :2]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import add
 from typing import Any, ClassVar
@@ -16,6 +16,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, frozen
 from twin.display import Table, new_axes, one_line, plot_patches, vector
+from twin.errors import ContactError
 from twin.parts.load import Load, Rectangles
 from twin.parts.press import Cone, Sphere
 from twin.theory.contact import ERROR_BOUND, KNOWN_RADIUS, SHEARED, law_of
@@ -294,6 +295,17 @@ class ContactState(Table):
         )
         for array in (*arrays, self.slip):
             frozen(array)
+
+    @staticmethod
+    def keep_last(refused: ContactError, path: list[ContactState], steps: int) -> None:
+        """Give an error the last state before the step that it refuses, as far as there is one."""
+        if path:
+            reason = (
+                f"step {len(path) + 1} of {steps} was refused, the state before it is kept; "
+                f"{refused}"
+            )
+            last = replace(path[-1], path=tuple(path), complete=False, reason=reason)
+            refused.last_state = last
 
     @classmethod
     def lifted(

@@ -153,13 +153,7 @@ def at_finite_strain(
             if not by_force[Z]:
                 found = _held_by_motion(found, press, body, material, watched, solve)
         except ContactError as problem:
-            if path:
-                reason = (
-                    f"step {len(path) + 1} of {len(controls)} was refused, the state before it is "
-                    f"kept; {problem}"
-                )
-                last = replace(path[-1], path=tuple(path), complete=False, reason=reason)
-                problem.last_state = last
+            ContactState.keep_last(problem, path, len(controls))
             raise
         path.append(_strained(found, one, material.law, judge))
         memory.strained.append((one, path[-1]))

@@ -117,7 +117,7 @@ def _predict(
         return guess
     force = history.force_n
     pose = np.where(control.by_force, history.pose, control.given)
-    active = _predict_active(grid, history, pose, guess)
+    active = _nearest(grid, history, pose, guess)
     if guess is not None or not force.any():
         pushed = _predict_frictionless(grid, problem, history, control, active)
         force = pushed.force_n
@@ -125,18 +125,13 @@ def _predict(
     return _Guess(force_n=_predict_shear(problem, force), pose=pose, active=active)
 
 
-def _predict_active(
-    grid: FrictionalContact, history: ContactHistory, pose: Floats, guess: _Guess | None
+def _nearest(
+    grid: FrictionalContact, history: ContactHistory, pose: Floats, guess: _Guess | None = None
 ) -> Bools:
-    """Return a guess's patches in contact (k,), or the nearest ones where it has none."""
+    """Return a guess's patches in contact (k,), or those that were, or the few that are nearest to
+    the probe."""
     if guess is not None and guess.active.any():
         return guess.active
-    return _nearest(grid, history, pose)
-
-
-def _nearest(grid: FrictionalContact, history: ContactHistory, pose: Floats) -> Bools:
-    """Return a first guess of the patches in contact: those that were, or the few that are nearest
-    to the probe."""
     if history.touched.any():
         return history.touched.copy()
     gap, _ = grid.gap(history, pose)
@@ -363,7 +358,7 @@ def _elastic_part(
     problem = here.problem(history, control, held)
     if grid.sticks:
         pose = np.where(control.by_force, history.pose, control.given)
-        return history, solve(problem, _predict_active(grid, history, pose, guess), pose)
+        return history, solve(problem, _nearest(grid, history, pose, guess), pose)
     start = history.slid_mm
     faces = all(setup.face is not None for setup in grid.contacts.setups)
     predicted = _predict(here, problem, history, control, guess)

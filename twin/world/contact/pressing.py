@@ -24,6 +24,7 @@ from twin.parts.press import (
     FEWEST_PATCHES,
     INCREMENTS,
     MOST_PATCHES,
+    Cone,
     Cylinder,
     Press,
     Sphere,
@@ -103,18 +104,6 @@ def _stopped_at(programme: LoadProgramme, path: list[ContactState], why: object)
         f"step {len(path) + 1} of {len(programme.steps)} did not converge, the last state that did "
         f"is kept; {why}"
     )
-
-
-def _attach_last_state(
-    refused: ContactError, path: list[ContactState], programme: LoadProgramme
-) -> None:
-    """Give an error the last state before the step that it refuses, as far as there is one."""
-    if path:
-        reason = (
-            f"step {len(path) + 1} of {len(programme.steps)} was refused, the state before it is "
-            f"kept; {refused}"
-        )
-        refused.last_state = replace(path[-1], path=tuple(path), complete=False, reason=reason)
 
 
 def _refuse_overlap(contacts: ContactProblem, found: Equilibrium) -> None:
@@ -204,15 +193,23 @@ class _Reach:
         turned[[X, Y, TURN]] = 0.0
         along_z = np.arange(MOTIONS) == Z
         still = Control(by_force=control.by_force & along_z, given=np.where(along_z, push, turned))
-        if _is_lifted(still, self.touch_z):
-            pose = _lifted_place(still, self.pose, self.touch_z)
+        plane, touch_z = self.plane, self.touch_z
+        if turned[ABOUT_X:].any() and isinstance(setup.probe, Sphere | Cone):  # it rolls
+            there, touch_z = setup.first_touch(turned)
+            plane = replace(plane, origin_mm=there.origin_mm)
+        if _is_lifted(still, touch_z):
+            pose = _lifted_place(still, self.pose, touch_z)
             return replace(self, pose=pose, sideways=sideways)
-        start = setup, still, self.pose, self.plane, self.touch_z
+        start = setup, still, self.pose, plane, touch_z
         disc = closed_form_contact(*start)
         plane, contact, pose = (
-            (self.plane, *disc) if disc else find_contact(*start, may_turn=self.box is None)
+            (plane, *disc) if disc else find_contact(*start, may_turn=self.box is None)
         )
-        grip_mm = float(programme.friction[number]) * (float(pose[Z]) - self.touch_z)
+        u, v = plane.axes[:2] @ (plane.origin_mm - self.plane.origin_mm)
+        plane = replace(plane, origin_mm=self.plane.origin_mm)
+        grip_mm = float(programme.friction[number]) * (float(pose[Z]) - touch_z)
+        if u or v:
+            contact = contact.moved(u, v)
         contact = contact.joined(_slid(setup, contact, sideways, grip_mm, plane))
         box = contact if self.box is None else self.box.joined(contact)
         return replace(self, plane=plane, box=box, pose=pose, sideways=sideways)
@@ -255,14 +252,7 @@ def _slid(setup: ProbeSetup, contact: Box, sideways: Floats, grip_mm: float, pla
             "whole path: move it less, or press it again further on"
         )
     u, v = plane.axes[:2] @ (slide / length * sideways @ setup.first.axes[:Z])
-    width = min(contact.size) if slide > max(contact.size) else math.inf
-    return Box(
-        u0=contact.u0 + u,
-        u1=contact.u1 + u,
-        v0=contact.v0 + v,
-        v1=contact.v1 + v,
-        width_mm=width,
-    )
+    return contact.moved(u, v)
 
 
 @dataclass
@@ -291,7 +281,7 @@ class _OnGrid:
                 self.reason = _stopped_at(programme, self.path, unsettled)
                 return
             except ContactError as refused:
-                _attach_last_state(refused, self.path, programme)
+                ContactState.keep_last(refused, self.path, len(programme.steps))
                 raise
             if stopped:
                 self.reason = _stopped_at(programme, self.path, stopped)
@@ -483,7 +473,8 @@ def _states(
             continue
         patches = grid.contacts.grids[number]
         own = found.part(rows, motions)
-        touch_z = _touch_z(setup, history.slid_mm[number], own.pose)
+        slid, rolled = history.slid_mm[number].any(), setup.face is None
+        touch_z = setup.touch_z(own.pose * [slid, slid, False, rolled, rolled, False])
         setup.check_inside(patches, own, float(own.pose[Z]) - touch_z)
         states.append(
             ContactState.touching(
@@ -502,13 +493,6 @@ def _states(
         replace(one, load=replace(one.load, crept=grid.crept(memory, number)))
         for number, one in enumerate(states)
     ]
-
-
-def _touch_z(setup: ProbeSetup, slid_mm: Floats, pose: Floats) -> float:
-    """Return the z of first touch of a probe at its place (6,), if it slid there."""
-    if not slid_mm.any():
-        return 0.0
-    return setup.touch_z(np.array([*pose[:Z], *np.zeros(MOTIONS - Z)]))
 
 
 def _refuse_drag(grid: FrictionalContact, control: Control, count: int) -> None:
@@ -544,7 +528,7 @@ def _frictionless_path(
                 raise
             return path, _stopped_at(programme, path, stopped)
         except ContactError as refused:
-            _attach_last_state(refused, path, programme)
+            ContactState.keep_last(refused, path, len(programme.steps))
             raise
         path.append(state)
     memory.pose = pose

@@ -207,6 +207,11 @@ class Box(NamedTuple):
         """Return the box with margins u and v added on either side."""
         return self._replace(u0=self.u0 - u, u1=self.u1 + u, v0=self.v0 - v, v1=self.v1 + v)
 
+    def moved(self, u: float, v: float) -> Box:
+        """Return it moved, edges apart; its own width counts once it left."""
+        width = min(self.size) if math.hypot(u, v) > max(self.size) else math.inf
+        return Box(self.u0 + u, self.u1 + u, self.v0 + v, self.v1 + v, width)
+
     def with_edges(self, gap_at: Callable[[Floats], Floats]) -> Box:
         """Return the box with the places of a probe's sharp edges along its two sides.
 
