@@ -5,9 +5,11 @@ import warnings
 
 import numpy as np
 import pytest
+import trimesh
 from presses import STUCK, HalfSpace, ball, down, face, pressed, punch
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk, j0, j1
+from standard_bodies import write_stl
 
 from twin.errors import AccuracyWarning
 from twin.parts.press import Cylinder, Object, Pillar, Press, Step
@@ -240,9 +242,8 @@ LAYERS = [(2.0, 5.0, 0.5), (4.0, 5.0, 0.5), (2.0, 2.0, 0.5), (2.0, 5.0, 0.3), (2
 @pytest.mark.slow
 @pytest.mark.parametrize(("thickness", "radius", "nu"), LAYERS)
 def test_a_press_on_a_thin_layer_knows_how_far_it_is_off(thickness, radius, nu):
-    sizes = {"width_mm": 40, "length_mm": 40, "thickness_mm": thickness}
+    body = {"body.width_mm": 40, "body.length_mm": 40, "body.thickness_mm": thickness}
     rubber = {"material.youngs_modulus_mpa": 1.0, "material.poisson_ratio": nu}
-    body = {f"body.{key}": value for key, value in sizes.items()}
     sensor = Sensor(load_scene("block_bare", body | rubber))
     true = sphere_on_layer(radius, 0.1, thickness, nu)
     with warnings.catch_warnings(record=True) as warned:
@@ -260,24 +261,26 @@ def test_a_press_on_a_thin_layer_knows_how_far_it_is_off(thickness, radius, nu):
     assert not any("force" in one or "indentation" in one or "tractions" in one for one in said)
 
 
+THIN = {"at_mm": [1, 1], "steps": [{"move_mm": {"z": 0.05}}]}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("probe", "across"),
-    [
-        (Cylinder(diameter_mm=4, edge_mm=0.2), 16),
-        (Cylinder(diameter_mm=6, edge_mm=0.3), 16),
-        (Pillar(width_mm=4, edge_mm=0.5), 12),
-    ],
-    ids=["round", "wide", "square"],
+    ("kind", "size", "mm", "edge_mm", "across"),
+    [("cylinder", "diameter", 4, 0.2, 16), ("cylinder", "diameter", 6, 0.3, 16), ("pillar", "width", 4, 0.5, 12)],
 )
-def test_patches_on_a_rounded_rim_cost_more_force_on_thin_rubber(probe, across):
+def test_patches_on_a_rounded_rim_cost_more_force_on_thin_rubber(kind, size, mm, edge_mm, across):
     """Up to 0.6 times that was stated, as if the rubber were thick."""
-    pad = {"body.width_mm": 20, "body.length_mm": 20, "body.thickness_mm": 1.5, "material.poisson_ratio": 0.5}
-    press = Press(probe=probe, at_mm=(1, 1), indentation_mm=0.05)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AccuracyWarning)
-        some, many = (
-            Sensor(load_scene("block_bare", pad | {"accuracy.contact_patches": n})).press(press) for n in (across, 36)
-        )
-        off = abs(some.force_n[2] / many.force_n[2] - 1.0)
-        assert off <= some.error.force < 4.0 * off
+    probe = {"kind": kind, f"{size}_mm": mm, "edge_mm": edge_mm}
+    some, many = (on_block(n, (20, 20, 1.5), 1.0, 0.5, probe=probe, **THIN) for n in (across, 36))
+    off, _ = relative(many, some)
+    assert off <= some.error.force < 4.0 * off
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.49])
+def test_patches_end_less_far_beyond_a_sharp_edge_on_thin_rubber(nu, tmp_path):
+    """Of a file, against a pillar, whose patches shrink towards edges; 2.1 to 3.7 % too strong before."""
+    box = {"kind": "stl", "file": str(write_stl(tmp_path / "box.stl", trimesh.creation.box((6, 4, 4)).triangles))}
+    pillar = {"kind": "pillar", "width_mm": 6, "length_mm": 4}
+    some, many = (on_block(n, (20, 20, 1.5), 1.0, nu, probe=one, **THIN) for one, n in ((box, 8), (pillar, 24)))
+    assert some.force_n[2] == pytest.approx(many.force_n[2], rel=0.006)

@@ -339,15 +339,12 @@ def _counts(across: int, box: Box, contact: Box, most: float = math.inf) -> tupl
     """Return cells along u and v: ``across`` squared over the contact, more along its longer
     side; square ones, ``most`` at most, over a contact in pieces."""
     if math.isfinite(contact.width_mm):
-        step = max(contact.width_mm / across, math.sqrt(math.prod(box.size) / most))
-        cells = [max(4, math.ceil(size / step - 1e-6)) for size in box.size]
-        return cells[0], cells[1]
-    shape = (contact.size[0] / contact.size[1]) ** 0.25
-    u = box.size[0] / contact.size[0]
-    v = box.size[1] / contact.size[1]
-    return max(4, math.ceil(across * shape * u - 1e-6)), max(
-        4, math.ceil(across / shape * v - 1e-6)
-    )
+        u = v = min(across / contact.width_mm, math.sqrt(most / math.prod(box.size)))
+    else:
+        shape = (contact.size[0] / contact.size[1]) ** 0.25
+        u, v = across * shape / contact.size[0], across / shape / contact.size[1]
+    u, v = u * box.size[0], v * box.size[1]
+    return max(4, math.ceil(u - 1e-6)), max(4, math.ceil(v - 1e-6))
 
 
 def fitted_grids(
@@ -374,15 +371,13 @@ def _grids(
         margin = max(_PIECES_MARGIN if pieces else _MARGIN, _SPARE / setup.across)
         box = contact.grown(*(margin * size for size in contact.size)).clipped(setup.face)
         allowed = min(most, setup.most * (setup.across / PATCHES_ACROSS) ** 2)
-        box, count = box.aligned(_counts(setup.across, box, contact, allowed))
+        count = _counts(setup.across, box, contact, allowed)
+        box, count = box.aligned(count, setup.body.base_z_mm)
         boxes.append(box)
         counts.append(count)
     if len(boxes) > 1:
         boxes, counts = _on_one_lattice(setups, planes, boxes, counts)
-    grids = []
-    for setup, plane, box, count in zip(setups, planes, boxes, counts, strict=True):
-        grids.append(setup.patches(plane, box, count))
-    return tuple(grids)
+    return tuple(map(ProbeSetup.patches, setups, planes, boxes, counts))
 
 
 def _on_one_lattice(
@@ -418,13 +413,8 @@ def _on_one_lattice(
         return boxes, counts
     low = middle[0] - cells[0] * step / 2 + first_cell * step - away[:, :2]
     high = low + cells * step
-    return (
-        [
-            Box(u0=a, u1=b, v0=c, v1=d)
-            for (a, c), (b, d) in zip(low.tolist(), high.tolist(), strict=True)
-        ],
-        [(int(u), int(v)) for u, v in cells],
-    )
+    ends = np.stack([low, high], axis=2).reshape(-1, 4).tolist()
+    return [Box(*one) for one in ends], [(int(u), int(v)) for u, v in cells]
 
 
 def find_contact(
@@ -528,7 +518,7 @@ def _within_outline(setup: ProbeSetup, patches: Patches, found: Equilibrium) -> 
     low, high = outline.min(axis=0), outline.max(axis=0)
     spare = (1.0 - _INNER) / 2.0 * (high - low)
     (u0, v0), (u1, v1) = (low + spare).tolist(), (high - spare).tolist()
-    return Box(u0=u0, u1=u1, v0=v0, v1=v1)
+    return Box(u0, u1, v0, v1)
 
 
 def _find_overlap(

@@ -38,7 +38,7 @@ from twin.theory import halfspace
 from twin.world.contact.contact_problem import LoadProgramme, ProbeSetup
 from twin.world.contact.contact_state import ContactState, PressError, Share
 from twin.world.contact.probe_gap import MOTIONS, Z
-from twin.world.contact.surface_patches import BEYOND_EDGE
+from twin.world.contact.surface_patches import Box
 
 _Solve = Callable[[LoadProgramme, int], tuple[list[ContactState], str]]
 """Takes a programme's path in so many parts a step; returns the states, and why it stopped."""
@@ -106,14 +106,10 @@ Linear interpolation leaves up to an eighth of a difference; between patches it 
 Measured at 6 to 24 across against 36 to 40: 0.08 to 0.172 under balls, 0.09 to 0.155 under such
 cones, up to 0.335 elsewhere."""
 
-_CUT_FREE, _OF_SMOOTH = 0.15, 0.8
+_CUT_FREE, _OF_SMOOTH, _CUT_FREE_THIN = 0.15, 0.8, 2.0
 """Error of the force under an object's smooth borders, times patches over those of a square that a
-disc as wide as the contact fills; with the power 1.5 of the border's length over that disc's. And
-what of it sharp borders lack."""
-
-_CUT_FREE_THIN = 5.0
-"""As `_CUT_THIN`, of an object's smooth borders: at 2 one of ten objects on rubber of 1 to 3 mm
-was 1.75 times as far off as stated, at 5 none of 13."""
+disc as wide as the contact fills; with the power 1.5 of the border's length over that disc's. What
+of it sharp borders lack; as `_CUT_THIN` of it."""
 
 _CUT_RIM = 0.2
 """The same under a flat face so inclined that it touches with its rim, times the patches across.
@@ -734,8 +730,9 @@ class _Border:
         sharp, end = self._sharp_ends
         patch, _, side = self.open_sides
         at_edge = sharp & (end < 1.0)  # else the next one could touch, too
-        missed = at_edge * (end - (0.5 - BEYOND_EDGE)) * _areas(self.load)[patch]
-        squared = self.state.pressure_mpa[patch] ** 2 * side / (4.0 * (1.0 - BEYOND_EDGE))  # k^2
+        beyond = Box.beyond_edge(side, self.setup.body.base_z_mm)
+        missed = at_edge * (end - (0.5 - beyond)) * _areas(self.load)[patch]
+        squared = self.state.pressure_mpa[patch] ** 2 * side / (4.0 * (1.0 - beyond))  # k^2
         modulus = self.setup.youngs_modulus_mpa / (1.0 - self.setup.poisson_ratio**2)
         whole = modulus * self.state.indentation_mm * float(np.linalg.norm(self.state.force_n))
         off = 2.0 * math.pi * missed * squared / whole

@@ -10,9 +10,9 @@ at a footprint's border: the pressure under a sharp edge grows like 1/sqrt(dista
 shrink like its inverse carry equal forces. They also follow where contact ends on a rounded rim, if
 that is known about (`Footprint.pressed`).
 
-A cell touches wholly or not at all. Where a sharp edge of the probe runs along the grid, a whole
-row of cells is cut alike, and forces jump by some per cent from grid to grid. So cells end a little
-beyond such edges (`Box.with_edges`, `Box.aligned`). Askew ones cut every row elsewhere.
+A cell touches wholly or not at all. Sharp edges of the probe along the grid cut a whole row alike,
+and forces jump by per cents from grid to grid. So cells end a little beyond such edges
+(`Box.with_edges`, `Box.aligned`).
 """
 
 from __future__ import annotations
@@ -48,10 +48,6 @@ from row to row, and in all, in steps of the raster."""
 
 _FINEST, _WIDEST, _STEPS = 0.8, 1.1, 601
 """Widths of cells that are tried, over the width asked for, and how many."""
-
-BEYOND_EDGE = 0.165
-"""How far cells end beyond a sharp edge, over their width, as even pressures on them act as if it
-lay so far within their end: 0.159 to 0.169 under a square at 8 to 40 across."""
 
 _AWAY = 0.1
 """How far edges may lie from there, over the cells' width, for a grid that is aligned."""
@@ -260,12 +256,23 @@ class Box(NamedTuple):
             )
         return self._replace(edges=(lines[0], lines[1]))
 
-    def aligned(self, counts: tuple[int, int]) -> tuple[Box, tuple[int, int]]:
+    def aligned(self, counts: tuple[int, int], thick_mm: float) -> tuple[Box, tuple[int, int]]:
         """Return a box and its cells along u and v, changed so that cells end a little beyond the
         box's edges as far as one width of cells allows that."""
-        u0, u1, across = _side(self.u0, self.u1, counts[0], np.array(self.edges[0]))
-        v0, v1, along = _side(self.v0, self.v1, counts[1], np.array(self.edges[1]))
+        u, v = map(np.array, self.edges)
+        u0, u1, across = _side(self.u0, self.u1, counts[0], u, thick_mm)
+        v0, v1, along = _side(self.v0, self.v1, counts[1], v, thick_mm)
         return self._replace(u0=u0, u1=u1, v0=v0, v1=v1), (across, along)
+
+    @staticmethod
+    def beyond_edge(width_mm: Floats, thick_mm: float) -> Floats:
+        """Return how far cells end beyond a sharp edge, over their width, as even pressures on them
+        act as if it lay so far within their end.
+
+        0.159 to 0.169 under a square; 0.171, 0.158, 0.131 and 0.11 under a strip on a layer 100, 5,
+        2 and 1 cells thick (nu 0.49; 0.161 to 0.121 at 0.3).
+        """
+        return np.asarray(0.165 / (1.0 + width_mm / (2.0 * thick_mm)))
 
 
 def _common(found: Floats, step: float) -> tuple[float, ...]:
@@ -279,7 +286,9 @@ def _common(found: Floats, step: float) -> tuple[float, ...]:
     )
 
 
-def _side(low: float, high: float, count: int, edges: Floats) -> tuple[float, float, int]:
+def _side(
+    low: float, high: float, count: int, edges: Floats, thick_mm: float
+) -> tuple[float, float, int]:
     """Return both ends of a side and the number of its cells, for (n, 2) edges and their ways."""
     if len(edges) == 0:
         return low, high, count
@@ -287,7 +296,7 @@ def _side(low: float, high: float, count: int, edges: Floats) -> tuple[float, fl
     asked = (high - low) / count
     widths = asked * np.linspace(_FINEST, _WIDEST, _STEPS)
     # Ridges as narrow as gaps leave no room beyond edges.
-    for beyond in (BEYOND_EDGE * way, 0.0 * way):
+    for beyond in (edge := np.outer(Box.beyond_edge(widths, thick_mm), way), 0.0 * edge):
         at = (place - place[0]) / widths[:, None] + beyond
         off = at - at[:, :1]
         off -= np.rint(off)
@@ -296,7 +305,7 @@ def _side(low: float, high: float, count: int, edges: Floats) -> tuple[float, fl
         best = int(np.argmin(away + _AS_ASKED * np.abs(widths / asked - 1.0)))
         if away[best] <= _AWAY:
             width = float(widths[best])
-            start = float(place[0] + (shift[best] + beyond[0]) * width)
+            start = float(place[0] + (shift[best] + beyond[best, 0]) * width)
             first = np.floor((low - start) / width + 1e-6)
             last = np.ceil((high - start) / width - 1e-6)
             return start + first * width, start + last * width, int(last - first)
@@ -459,7 +468,7 @@ class Patches:
         cell = self.cell_mm[chosen]
         u0, v0 = np.min(middle - cell, axis=0, initial=math.inf).tolist()
         u1, v1 = np.max(middle + cell, axis=0, initial=-math.inf).tolist()
-        return Box(u0=u0, u1=u1, v0=v0, v1=v1)
+        return Box(u0, u1, v0, v1)
 
     def outline(self, chosen: Ints, pressure: Floats, *, bent: bool) -> Floats | None:
         """Return places (60, 2) around a smooth probe's contact where it ends, in the grid's plane,
