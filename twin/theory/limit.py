@@ -62,12 +62,11 @@ _CHUNK = 500
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """What each of m designs can reach: (m,) full widths at half maximum of the estimate of a point
-    force; least distance of two equal pushes between which it dips by `DIP`; standard deviation of
+    """What each of m designs can reach: (m,) full width at half maximum of the estimate of a point
+    push; least distance of two equal pushes between which it dips by `DIP`; standard deviation of
     the size of one push over the prior's disc at a known place."""
 
     fwhm_normal_mm: Floats
-    fwhm_tangential_mm: Floats
     two_point_mm: Floats
     force_sd_n: Floats
 
@@ -149,27 +148,22 @@ def _limits(
     scale = depth.min(axis=1)
     k = _K / scale[:, None]
     g = shear_modulus(modulus, nu)
-    tt, tn, nn, across = np.zeros((4, *k.shape))
+    tt, tn, nn = np.zeros((3, *k.shape))
     for layer in range(depth.shape[1]):
         along, normal = Limit.layer_rows(k, depth[:, layer, None], g[:, None], nu[:, None])
         weight = 1 / (noise[:, layer] * pitch[:, layer])[:, None] ** 2
         tt += weight * along**2
         tn += weight * along * normal
         nn += weight * normal**2
-        # along + normal is exp(-k d) / (2 G k), half of the part across
-        across += weight * (2 * (along + normal)) ** 2
     prior = (np.pi * radius**2 / force**2)[:, None]
     determinant = (tt + prior) * (nn + prior) - tn**2
     push = (1 - prior * (tt + prior) / determinant) @ _HANKEL
-    shear = (
-        0.5 * (1 - prior * (nn + prior) / determinant) + 0.5 * across / (across + prior)
-    ) @ _HANKEL
     kr = k * radius[:, None]
     disc = k**2 * _STEP / (2 * np.pi) * (2 * j1(kr) / kr) ** 2  # the transform of an even disc
-    half_widths = [_crossing(each / each[:, :1] - 0.5) for each in (push, shear)]
+    half_widths = _crossing(push / push[:, :1] - 0.5)
     # two pushes count as two at the least distance s where 2 p(s/2) is `DIP` below p(0) + p(s)
     two_points = _crossing(2 * (push @ _HALVES) - (1 - DIP) * (push[:, :1] + push))
-    widths = np.array([2 * half_widths[0], 2 * half_widths[1], two_points]) * scale
+    widths = np.array([2 * half_widths, two_points]) * scale
     widest = pitch.max(axis=1)
     sampled = (
         np.maximum(widths, FLOOR * widest)

@@ -193,7 +193,9 @@ def test_fronts_and_the_agreement_of_fidelities() -> None:
 
 
 def test_a_search_finds_what_the_grid_does_not_have(tmp_path: Path) -> None:
+    """Three axes, for which SciPy takes 32 designs a generation, not 24: all are counted."""
     axes = {"markers.blue.depth_mm": {"low": 1.0, "high": 5.0}, "markers.*.pitch_mm": {"low": 1.0, "high": 2.4}}
+    axes["material.youngs_modulus_mpa"] = {"low": 0.5, "high": 1.0}
     changes = {"axes": axes, "fidelity": ["closed"], "sampling": "sobol", "count": 320, "loads": {"size_mm": 1.0}}
     sweep, scene = small(**changes, targets={"two_point_mm": 1.0})
     found = run_sweep(sweep, scene, tmp_path, optimise=True)
@@ -201,7 +203,7 @@ def test_a_search_finds_what_the_grid_does_not_have(tmp_path: Path) -> None:
     assert found.score[found.order[0]] <= random.score[random.order[0]]
     best = found.designs.values(int(found.order[0]))
     assert 256 < len(found.designs) <= 320, "the population takes four fifths, the gradient no more than the rest"
-    assert [best[key] for key in axes] == pytest.approx([1.0, 1.0])
+    assert [best[key] for key in axes][:2] == pytest.approx([1.0, 1.0])
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import os
 import platform
 import time
@@ -672,7 +673,8 @@ def _optimised(designs: Designs, runner: _Runner) -> Designs:
 
     sweep, scene = designs.sweep, designs.scene
     stage = "linear" if "linear" in sweep.ladder else "closed"
-    size = max(5, POPULATION * len(sweep.axes))
+    # A population that begins with Sobol' points is a power of two, SciPy rounds it up.
+    size = 2 ** math.ceil(math.log2(max(5, POPULATION * len(sweep.axes))))
     evaluated: list[Floats] = []
 
     def judged(u: Floats) -> Floats:
