@@ -5,6 +5,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from twin.blas_threads import set_environment
+
+set_environment()  # before NumPy is loaded: workers' threads wait for each other, some tests took seven times as long
+
 
 @pytest.fixture(scope="module", autouse=True)
 def _nothing_kept_for_other_files(request: pytest.FixtureRequest) -> Iterator[None]:

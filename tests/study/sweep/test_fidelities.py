@@ -64,6 +64,7 @@ def test_noise_over_exposures_is_that_of_theory_and_its_standard_error_that_by_w
 # --- the designs that sweeps found tell two pillars 2 mm apart, through contact, pictures and tracker
 
 
+@pytest.mark.slow
 def test_loads_of_a_probe_are_presses_by_any_law_and_with_friction() -> None:
     ball = {"press.probe": {"kind": "sphere", "diameter_mm": 6.0}, "press.friction": 0.5}
     loads = {"probe": True, "force_n": 1.5, "presses": 1, "shear": 0.2}
