@@ -106,10 +106,14 @@ Linear interpolation leaves up to an eighth of a difference; between patches it 
 Measured at 6 to 24 across against 36 to 40: 0.08 to 0.172 under balls, 0.09 to 0.155 under such
 cones, up to 0.335 elsewhere."""
 
-_CUT_FREE, _OF_SMOOTH, _CUT_FREE_THIN = 0.15, 0.8, 2.0
+_CUT_FREE, _OF_SMOOTH = 0.15, 0.8
 """Error of the force under an object's smooth borders, times patches over those of a square that a
-disc as wide as the contact fills; with the power 1.5 of the border's length over that disc's. What
-of it sharp borders lack; as `_CUT_THIN` of it."""
+disc as wide as the contact fills; with the power 1.5 of the border's length over that disc's. And
+what of it sharp borders lack."""
+
+_CUT_FREE_THIN = 2.0
+"""As `_CUT_THIN`, of an object's smooth borders: 46 presses on rubber of 1 to 3 mm state 1.3 times
+or more what finer patches show."""
 
 _CUT_RIM = 0.2
 """The same under a flat face so inclined that it touches with its rim, times the patches across.
