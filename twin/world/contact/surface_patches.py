@@ -204,8 +204,8 @@ class Box(NamedTuple):
         return self._replace(u0=self.u0 - u, u1=self.u1 + u, v0=self.v0 - v, v1=self.v1 + v)
 
     def moved(self, u: float, v: float) -> Box:
-        """Return the box moved by u and v, without edges. Moved by more than its length, its shorter
-        side sets the cells' size: a box that joins both places is much longer."""
+        """Return the box moved by u and v, without edges. Moved by more than its length, its
+        shorter side sets the cells' size: a box that joins both places is much longer."""
         width = min(self.size) if math.hypot(u, v) > max(self.size) else math.inf
         return Box(self.u0 + u, self.u1 + u, self.v0 + v, self.v1 + v, width)
 
