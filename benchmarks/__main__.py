@@ -19,9 +19,7 @@ from benchmarks.record import store, table
 STAGES = (
     "elasticity",
     "contact",
-    "peers",
     "picture",
-    "referee",
     "tracking",
     "conditions",
     "chain",
@@ -30,16 +28,12 @@ STAGES = (
     "sweep",
     "budget",
 )
-SLOW = ("peers", "referee")
-"""Stages that a quick run leaves out unless they are named: they need other programs, much memory, LLVM or time."""
-
-STUDIES = ("calibrations", "fingers", "inclusions", "live", "realism")
+STUDIES = ("calibrations", "fingers", "inclusions", "live")
 """What is run when it is named: minutes of CPU time, a quarter of an hour for calibrations, for figures that have no
 accuracy knob."""
 
 CHECKS = (
     "endurance",
-    "estimates",
     "extremes",
     "frozen",
     "fuzz",
@@ -49,7 +43,6 @@ CHECKS = (
     "presses",
     "random_bodies",
     "random_scenes",
-    "validity",
 )
 
 
@@ -72,7 +65,7 @@ def main() -> int:
         )
         return 2
     quick = bool(options)
-    wanted = names or [stage for stage in STAGES if not (quick and stage in SLOW)]
+    wanted = names or STAGES
     if not quick and len(wanted) > 1:
         codes = [subprocess.run([sys.executable, "-m", "benchmarks", name], check=False).returncode for name in wanted]
         return int(any(codes))

@@ -117,57 +117,7 @@ def chart(name: str, **kind: Any) -> tuple[Any, Any, Callable[[], None]]:
     return figure, panels, save
 
 
-# elasticity: stages elasticity and peers
-
-GOAL, COMPARED = 0.003, ("0.5", "0.49")
-"""Error at which programs are compared, and Poisson's ratios."""
-
-COLOURS = {
-    "twin": "#d55e00",
-    "twin, table": "#e69f00",
-    "NGSolve": "#0072b2",
-    "CalculiX": "#cc79a7",
-    "NGSolve, P1": "#999999",
-    "NGSolve, P2": "#555555",
-}
-
-
-def worst(row: Row) -> float:
-    """Return a row's error: the larger one of its two loads, over all points."""
-    return max(row["error_z"], row["error_x"])
-
-
-def programs(rows: list[Row], body: str, nu: str) -> dict[str, list[Row]]:
-    """Return the rows of each program on a body at one Poisson's ratio; linear and quadratic elements apart."""
-    found: dict[str, list[Row]] = {}
-    for row in rows:
-        if row["body"] == body and row.get("nu") == nu and "remark" not in row:
-            apart = f", {row['element']}" if row["program"] == "NGSolve" and row["element"] in ("P1", "P2") else ""
-            found.setdefault(row["program"] + apart, []).append(row)
-    return found
-
-
-def to_the_goal(rows: list[Row]) -> list[Row]:
-    """Return one row for every body, Poisson's ratio and program: seconds to the goal, also over twin's own."""
-    out = []
-    for body, nu in ((body, nu) for body in ("block", "finger") for nu in COMPARED):
-        groups = programs(rows, body, nu)
-        needed = {name: seconds_to([(r["cpu_s"], worst(r)) for r in group], GOAL) for name, group in groups.items()}
-        for name, group in groups.items():
-            best, seconds, own = min(group, key=worst), needed[name], needed.get("twin")
-            out.append(
-                {
-                    "body": body,
-                    "nu": nu,
-                    "program": name,
-                    "CPU s": "not reached" if seconds is None else seconds,
-                    "over twin's": seconds / own if seconds and own else "",
-                    "wall s": seconds_to([(r["wall_s"], worst(r)) for r in group], GOAL) or "",
-                    "best error, %": 100 * worst(best),
-                    "its CPU s": best["cpu_s"],
-                }
-            )
-    return out
+# elasticity
 
 
 def ways_in_short(rows: list[Row]) -> list[Row]:
@@ -197,67 +147,9 @@ def ways_in_short(rows: list[Row]) -> list[Row]:
     return short
 
 
-def _best_runs(rows: list[Row]) -> list[Row]:
-    """Return each program's front at Poisson's ratio 0.5, and the best of what locks near it."""
-    shown = []
-    for body in ("block", "finger"):
-        for nu in ("0.5", "0.4999"):
-            for name, group in programs(rows, body, nu).items():
-                best = front([(row["cpu_s"], worst(row)) for row in group])
-                kept = best if nu == "0.5" else best[-1:]
-                shown += [(name, row) for row in group if (row["cpu_s"], worst(row)) in kept]
-    return [
-        {
-            "body": row["body"],
-            "nu": row["nu"],
-            "program": name,
-            "element": row.get("element", ""),
-            "mesh": row.get("mesh", ""),
-            "unknowns": row["unknowns"],
-            "CPU s": row["cpu_s"],
-            "next load, CPU s": row["next_cpu_s"],
-            "error z, %": 100 * row["error_z"],
-            "error x, %": 100 * row["error_x"],
-        }
-        for name, row in shown
-        if "2 cores" not in name
-    ]
-
-
 def _elasticity() -> dict[str, str]:
-    peers = stored("peers")
-    tables = {
-        f"Seconds to {100 * GOAL:g} %, from each program's best runs (straight lines between them)": to_the_goal(peers),
-        "Every way of the program, over all reference cases": ways_in_short(stored("elasticity")),
-        "Each program's best runs at nu = 0.5, and what locks at 0.4999": _best_runs(peers),
-    }
-    return {"results": f"\n{titled(tables)}\n\n{measured_on('elasticity')}\n"}
-
-
-def _draw_elasticity() -> None:
-    """Draw error against time, a panel for each body and Poisson's ratio, with the front that no run is below."""
-    rows, handles = stored("peers"), {}
-    figure, panels, save = chart("elasticity.png", nrows=2, ncols=2, figsize=(11, 8), sharex=True, sharey=True)
-    for across, nu in zip(panels.T, COMPARED, strict=True):
-        for panel, body in zip(across, ("block", "finger"), strict=True):
-            groups = {name: group for name, group in programs(rows, body, nu).items() if name in COLOURS}
-            runs = [(row["cpu_s"], worst(row)) for group in groups.values() for row in group]
-            if runs:
-                panel.plot(*zip(*front(runs), strict=True), "o-", color="black", linewidth=6, markersize=13, alpha=0.15)
-            for name, group in groups.items():
-                dots = [(row["cpu_s"], worst(row)) for row in group]
-                panel.plot(*zip(*front(dots), strict=True), color=COLOURS[name], linewidth=0.8)
-                handles[name] = panel.scatter(*zip(*dots, strict=True), color=COLOURS[name], s=22, zorder=3)
-            panel.axhline(GOAL, color="black", linewidth=0.6, linestyle=":")
-            panel.set(xscale="log", yscale="log", title=f"{body}, Poisson's ratio {nu}")
-            panel.grid(alpha=0.3)
-    for panel in panels[-1]:
-        panel.set_xlabel("CPU seconds from the ready mesh")
-    for panel in panels[:, 0]:
-        panel.set_ylabel("largest error over largest displacement")
-    shown = [name for name in COLOURS if name in handles]
-    figure.legend([handles[name] for name in shown], shown, loc="outside lower center", ncols=len(shown))
-    save()
+    ways = {"Every way of the program, over all reference cases": ways_in_short(stored("elasticity"))}
+    return {"results": f"\n{titled(ways)}\n\n{measured_on('elasticity')}\n"}
 
 
 # contact: stage contact, and presses
@@ -349,7 +241,7 @@ def _draw_contact() -> None:
     save()
 
 
-# pictures: stages picture and referee; tracking
+# pictures and tracking
 
 GOAL_PX = 0.003
 """Centroid error, rms, at which methods are compared."""
@@ -376,7 +268,6 @@ def _picture() -> dict[str, str]:
     tables = {
         "Every method and grid": [row for row in rows if "centroid_rms_px" in row],
         "The CCD": [r for r in rows if "centroid_rms_px" not in r],
-        "Against a path integrator with real plates of glass and rubber": stored("referee"),
     }
     plot = "![Centroid error against CPU time](picture.png)"
     return {"results": f"\n{titled(goal)}\n\n{plot}\n\n{titled(tables)}\n"}
@@ -581,8 +472,7 @@ def _dataset() -> dict[str, str]:
     for row in stored("dataset"):
         before = list(row)[: list(row).index("total") + 1]
         rows.append({key: row[key] for key in before} | {"per_s": 1000.0 * cores / row["total"]} | row)
-    speed = f"{measured_on('dataset', cores=True)}\n\n{table(rows)}\n"
-    return {"results": speed, "realism": f"{table(stored('realism'))}\n"}
+    return {"results": f"{measured_on('dataset', cores=True)}\n\n{table(rows)}\n"}
 
 
 def _inclusions() -> dict[str, str]:
@@ -859,7 +749,7 @@ def _draw_chain() -> None:
 PAGES = {
     "readme": Page(file=ROOT / "README.md", parts=_readme, draw=_draw_chain),
     "speed": Page(file=DOCS / "speed.md", parts=_speed),
-    "elasticity": Page(file=DOCS / "elasticity.md", parts=_elasticity, draw=_draw_elasticity),
+    "elasticity": Page(file=DOCS / "elasticity.md", parts=_elasticity),
     "contact": Page(file=DOCS / "contact.md", parts=_contact, draw=_draw_contact),
     "picture": Page(file=DOCS / "picture.md", parts=_picture, draw=_draw_picture),
     "effects": Page(file=DOCS / "picture_effects.md", parts=lambda: {"effects": f"{table(stored('effects'))}\n"}),

@@ -8,10 +8,9 @@ pressures in MPa.
 
 Linear theory drops products of two gradients, so its relative error goes with the strain: the mean
 contact pressure over Young's modulus, times a factor that grows with the contact's radius over the
-rubber's thickness. Factors are the largest that neo-Hookean rubber showed in
-``benchmarks/validity.py`` under the papers' presses, and under spheres on layers of 1.5 to 40 mm
-(docs/validity.md). `Material.law` replaces it by what is found under the press itself. Validity:
-these presses, markers and rubber.
+rubber's thickness. Factors are the largest that neo-Hookean rubber showed under the papers'
+presses, and under spheres on layers of 1.5 to 40 mm (docs/validity.md). `Material.law` replaces it
+by what is found under the press itself. Validity: these presses, markers and rubber.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ near another free face, what all meshes miss there alike (`missed_at_edges`).
 
 The constants were fitted to independent converged solutions (``benchmarks/elasticity.py``), to the
 finest level under 60 bumps on the finger and 54 disks on the block, and near edges to mirrored
-loads. ``benchmarks/estimates.py`` tests them with random loads.
+loads.
 
 Validity: the two reference bodies. Other bodies are meshed by the same rules: flat ones count as
 blocks, curved ones as fingers.
