@@ -23,14 +23,10 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg
-from scipy.linalg.lapack import dposv, sposv
+from scipy.linalg.lapack import dposv
 
 from twin.arrays import Bools, Floats, Ints
 from twin.compiled import njit
-
-SINGLE = 1e-4
-"""Above this residual Newton's steps are solved in single precision: what they point at is not the
-end yet."""
 
 LEAST_SHARE = 1e-12
 """Eigenvalue of the projection's derivative below which it is none: at the cone's tip."""
@@ -83,15 +79,14 @@ def _newton(
     mu: float,
     rate: Floats,
     goal: float,
-    single: float,
 ) -> tuple[Floats, Floats]:
     """Semismooth Newton with a line search on the residual; sites that carry nothing drop out of
     the system.
 
     Only the sites ``where`` (n,) may carry force. ``start`` (n, 3) is a first guess and
     ``gradient`` (k, 3) A F - b there; ``rate`` (n,) is D by site, N^2/px^2. Ends at the residual
-    ``goal``, px^2/N; above ``single`` steps are solved in single precision. Returns forces and
-    gradient of the same shapes at the best forces found, which lie in the cone.
+    ``goal``, px^2/N. Returns forces and gradient of the same shapes at the best forces found, which
+    lie in the cone.
     """
 
     def residual(force: Floats, slope: Floats) -> tuple[Floats, Floats, Ints, float]:
@@ -106,8 +101,7 @@ def _newton(
     for _ in range(MOST_NEWTON):
         if size <= goal:
             break
-        precision = np.float32 if size > single else np.float64
-        step = _newton_step(matrix, where, rate, mu, miss, trial, kind, precision)
+        step = _newton_step(matrix, where, rate, mu, miss, trial, kind)
         change = _pull(matrix, where, step)
         length = 1.0
         for _ in range(HALVINGS):
@@ -189,9 +183,8 @@ def _newton_step(
     miss: Floats,
     trial: Floats,
     kind: Ints,
-    precision: type[np.floating],
 ) -> Floats:
-    """Return the (k, 3) step that makes the linearised residual vanish, solved in a precision.
+    """Return the (k, 3) step that makes the linearised residual vanish.
 
     With the projection's derivative P = sum a v v^T the step s solves (1 - a) v.s + a rate v.(A s)
     = -v.miss for every v: at once where a is 0, and divided by a rate a symmetric positive definite
@@ -208,17 +201,14 @@ def _newton_step(
     pulled = np.einsum("nij,ni->nj", axes, _pull(matrix, where, step)[where[active]])
     gain = (share * rate[active][:, None]).ravel()[sought]
     size = int(sought.sum())
-    system = np.zeros((size, size), precision)
+    system = np.zeros((size, size))
     diagonal = (1.0 - share.ravel()[sought]) / gain
     _turned(matrix, where[active], axes, sought.reshape(-1, 3), diagonal, system)
     right = -along.ravel()[sought] / gain - pulled.ravel()[sought]
-    solve = sposv if precision is np.float32 else dposv
     # its transpose is as LAPACK has it: no copy
-    _, part, failed = solve(system.T, right.astype(precision), lower=0, overwrite_a=1)
-    if failed and solve is dposv:
-        return -miss
+    _, part, failed = dposv(system.T, right, lower=0, overwrite_a=1)
     if failed:
-        return _newton_step(matrix, where, rate, mu, miss, trial, kind, np.float64)
+        return -miss
     known.ravel()[sought] = part
     step[active] = np.einsum("nij,nj->ni", axes, known)
     return step
@@ -374,9 +364,8 @@ def _working_set(matrix: Floats, linear: Floats, mu: float, start: Floats) -> tu
         where = np.flatnonzero(inside)
         gradient = _pull(matrix, where, force[where]) - linear.reshape(-1, 3)
         if len(where):
-            ends = (goal * scale, SINGLE * scale)
             force[where], gradient = _newton(
-                matrix, where, force[where], gradient, mu, rate[where], *ends
+                matrix, where, force[where], gradient, mu, rate[where], goal * scale
             )
         onto, _ = _onto_cone(force - rate[:, None] * gradient, mu)
         wrong = np.abs((force - onto) / rate[:, None]).max(axis=1) / scale

@@ -321,10 +321,10 @@ class Influence(ABC):
         """Return the (n, m) normal displacements of some patches under unit normal forces on
         others."""
 
-    @abstractmethod
     def select(self, touching: Ints) -> None:
         """Choose the n patches in contact, between which `product` and `approx_solve` work in
         single precision."""
+        self._touching = touching
 
     @abstractmethod
     def product(self, force: SinglesArray) -> SinglesArray:
@@ -516,21 +516,14 @@ class LatticeInfluence(Influence):
         )
 
     def normal_block(self, rows: Ints, columns: Ints) -> Floats:
-        part = self._normal_by_offset[self._offsets(rows, columns)]
+        part = self._by_offset[..., 2, 2].reshape(-1)[self._offsets(rows, columns)]
         if self._correction is not None:
             part = part + self._weights[rows] @ self._normal_correction @ self._weights[columns].T
         return np.asarray(part)
 
-    def select(self, touching: Ints) -> None:
-        self._touching = touching
-        self._chosen = self._cell[touching]
-
-    def product(self, force: Any) -> Any:
-        return self._single.on_cells(self._chosen, force) * np.float32(1.0 / self.unit)
-
-    @cached_property
-    def _normal_by_offset(self) -> Floats:
-        return self._by_offset[..., 2, 2].reshape(-1)
+    def product(self, force: SinglesArray) -> SinglesArray:
+        moved = self._single.on_cells(self._cell[self._touching], force)
+        return moved * np.float32(1.0 / self.unit)
 
     def _offsets(self, rows: Ints, columns: Ints) -> Ints:
         """Return (n, m) where the signed offsets between patches are in the flattened
@@ -604,9 +597,6 @@ def _correction(
 
 _EQUAL = 1e-6
 """Largest relative difference of cells that count as equal."""
-
-_SLACK = 1.3
-"""Patches that are kept over those in contact, above which the kept block is gathered again."""
 
 
 class _BlockInverse:
@@ -711,9 +701,7 @@ class DenseInfluence(Influence):
     normal forces alone (k, 1, k, 1) will do.
 
     Its preconditioner is made of the patches under each probe and the body's Poisson's ratio, or of
-    the matrix. In a Newton step products take the block of the patches in contact in single
-    precision. Half of it is kept, packed column by column, so that patches that come are appended;
-    those that left stay, without a force on them.
+    the matrix.
     """
 
     def __init__(
@@ -725,9 +713,6 @@ class DenseInfluence(Influence):
         self.direct = 2 * DIRECT
         self._of = grids, poisson_ratio
         self.unit = float(np.einsum("iaia->", matrix)) / (k * matrix.shape[1])
-        self._place: Ints = np.full(k, -1)
-        self._kept: Ints = np.zeros(0, int)
-        self._packed: SinglesArray = np.zeros(0, np.float32)
 
     def __len__(self) -> int:
         return len(self._matrix)
@@ -770,32 +755,14 @@ class DenseInfluence(Influence):
     def normal_block(self, rows: Ints, columns: Ints) -> Floats:
         return np.asarray(self._normal[np.ix_(rows, columns)])
 
-    def select(self, touching: Ints) -> None:
-        new = touching[self._place[touching] < 0]
-        if len(self._kept) + len(new) > _SLACK * len(touching):
-            self._place[:] = -1
-            self._kept = touching[:0]
-            self._packed = self._packed[:0]
-            new = touching
-        if len(new):
-            known = len(self._kept)
-            self._kept = np.concatenate([self._kept, new])
-            self._place[new] = np.arange(known, len(self._kept))
-            self._packed = np.concatenate([self._packed, self._columns(known)])
-        self._touching = touching
-        self._at = self._place[touching]
-
-    def _columns(self, known: int) -> SinglesArray:
-        """Return the columns of the kept block down to the diagonal, over the unit, without those
-        of the first ``known`` patches."""
+    @cached_property
+    def _single(self) -> SinglesArray:
+        """(3 k, 3 k) the matrix over the unit."""
         size = 3 * len(self)
-        flat = (3 * self._kept[:, None] + np.arange(3)).reshape(-1)
-        columns = self._matrix.reshape(size, size)[np.ix_(flat[3 * known :], flat)]
-        below = np.tri(len(columns), len(flat), 3 * known, bool)
-        return (1.0 / self.unit * columns[below]).astype(np.float32)
+        return (self._matrix.reshape(size, size).T / self.unit).astype(np.float32)
 
     def product(self, force: SinglesArray) -> SinglesArray:
-        kept: SinglesArray = np.zeros(3 * len(self._kept), np.float32)
-        kept.reshape(-1, 3)[self._at] = force.T
-        moved: SinglesArray = blas.sspmv(len(kept), 1.0, self._packed, kept)
-        return np.ascontiguousarray(moved.reshape(-1, 3)[self._at].T)
+        whole: SinglesArray = np.zeros((len(self), 3), np.float32)
+        whole[self._touching] = force.T
+        moved: SinglesArray = blas.ssymv(1.0, self._single, whole.reshape(-1))
+        return np.ascontiguousarray(moved.reshape(-1, 3)[self._touching].T)
