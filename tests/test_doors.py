@@ -21,7 +21,7 @@ HOMES = {
     "pypardiso": {"world/elasticity/factor.py"},
     "scipy.sparse.linalg": {"world/elasticity/factor.py"},
     "pyvista": {"world/mesh/quadratic_mesh.py", "world/mesh/body_mesh.py"},
-    "trimesh": {"world/mesh/body_mesh.py", "world/picture/stock_scene.py"},
+    "trimesh": {"study/view.py", "world/mesh/body_mesh.py", "world/picture/stock_scene.py"},
     "numba": {"compiled.py", "world/picture/backend.py"},
     "pickle": set(),
 }

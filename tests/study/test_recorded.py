@@ -582,6 +582,8 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
     fitted = load_scene("kamiyama_pillar", design)
     right = calibrate_to_file(fitted, tmp_path / "f.npz", folder=tmp_path)
     assert "warning" not in right
+    modulus = read_calibration(tmp_path / "f.npz").facts["youngs_modulus_mpa"]
+    assert modulus == pytest.approx(stiffer * crept * fitted.material.youngs_modulus_mpa, rel=0.01)
     assert "read    total force of these presses off by: Fx 0." in right
     pulled = [lines[0], *(",".join([*row.split(",")[:6], "-3"]) for row in lines[1:])]
     (tmp_path / "presses.csv").write_text("\n".join(pulled) + "\n")

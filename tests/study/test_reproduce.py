@@ -158,6 +158,9 @@ def test_names_choose_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert ran("beyond/limits", quick=True) == ["beyond/limits"]
     with pytest.raises(InputError, match="did you mean 'kamiyama/table-1'"):
         ran("kamiyama/table1")
+    shares: list[float] = []
+    reproduce(FAST, tmp_path / "out", progress=lambda _, share: shares.append(share))
+    assert shares == [0.0, 0.5, 1.0]
 
 
 def test_without_names_nothing_is_run_and_all_are_listed(tmp_path: Path) -> None:

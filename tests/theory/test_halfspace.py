@@ -101,6 +101,13 @@ def test_compliance_times_force_is_displacement(points, nu, half):
         assert_allclose((matrix @ load.force_n.ravel()).reshape(-1, 3), moved, rtol=1e-11)
 
 
+def test_normal_compliance_is_that_part_of_the_whole_near_and_far():
+    places = np.array([0.0, 0.9, 3.0, 5.0, 7.0, 14.0, 24.0, 28.0, 60.0])[:, None] * [1.0, 0.3, 0.0]
+    patches = rectangles(places, (0.5, 0.4), [0.0, 0.0, 1.0])
+    whole = halfspace.compliance(places, patches, 0.5, 0.3).reshape(9, 3, 9, 3)[:, 2, :, 2]
+    assert_allclose(halfspace.normal_compliance(patches, 0.5, 0.3), whole, rtol=1e-9)
+
+
 def test_the_place_of_a_point_force_is_refused(points):
     load = rectangles([[0, 0, 0], points[3]], (0.0, 0.0), [0.2, 0.5, 1.0])
     with pytest.raises(ZeroDivisionError, match="infinitely far"):

@@ -84,6 +84,8 @@ def _states(sensor: Sensor) -> list[ContactState | None]:
 
 
 def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points, Ints]:
+    from trimesh.remesh import subdivide
+
     from twin.world.mesh.body_mesh import body_mesh
 
     body = sensor.actual.scene.body
@@ -111,23 +113,9 @@ def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points,
         for centre, radius in pressed:
             away = np.maximum(np.linalg.norm(middle - centre, axis=1) - 1.2 * radius, 0.0)
             coarse |= longest > _FINE * radius + 0.5 * away
-        points, triangles = _quartered(points, triangles, coarse)
+        # cut in four; their neighbours stay whole, which a picture doesn't show
+        points, triangles = subdivide(points, triangles, np.flatnonzero(coarse))
     return points, triangles
-
-
-def _quartered(points: Points, triangles: Ints, chosen: np.ndarray) -> tuple[Points, Ints]:
-    """Cut triangles in four; their neighbours stay whole, which a picture doesn't show."""
-    a, b, c = triangles[chosen].T
-    ends = np.sort(
-        np.concatenate([np.stack(pair, axis=1) for pair in ((a, b), (b, c), (c, a))]), axis=1
-    )
-    ends, numbers = np.unique(ends, axis=0, return_inverse=True)
-    ab, bc, ca = len(points) + numbers.reshape(3, -1)
-    cut = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    added = points[ends].mean(axis=1)
-    return np.concatenate([points, added]), np.concatenate(
-        [triangles[~chosen], *(np.stack(t, axis=1) for t in cut)]
-    )
 
 
 def _under_each(state: ContactState) -> list[tuple[Rectangles, ContactState]]:

@@ -10,6 +10,7 @@ from small_sweep import TABLE, small
 
 from twin.errors import InputError, RecipeError
 from twin.files import SCENES
+from twin.parts.load import Rectangles
 from twin.parts.sweep import Sweep
 from twin.study.check import check_path
 from twin.study.recipe import shipped_scenes
@@ -19,6 +20,7 @@ from twin.study.sweep.loads import Bodies
 from twin.study.sweep.sweep_run import estimate
 from twin.theory.limit import Limit
 from twin.theory.optics import project_with_jacobian
+from twin.world.elasticity.block_table import Table
 
 
 def test_a_grid_is_every_combination_with_what_follows() -> None:
@@ -178,6 +180,17 @@ def test_many_thicknesses_of_a_block_are_interpolated_between_their_ends_and_few
     )
     assert Bodies.of(follows).thickness_mm == (40.0, 50.0)
     assert Bodies.of(small()[0]).thickness_mm is None
+
+
+def test_a_body_between_the_ends_takes_the_table_of_their_range(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(Table, "between", lambda body, *of: asked.append((body.thickness_mm, *of)))
+    bodies, scene = Bodies((30.0, 50.0)), small()[1]
+    patches = Rectangles.on_surface(scene.body, np.zeros((1, 2)), 0.5, "patches")
+    for _ in range(2):
+        bodies.unit(scene, "nominal", patches)
+    assert asked == [(40.0, "nominal", 30.0, 50.0)]
+    assert (bodies.asked, bodies.made) == (2, 1), "a mesh of its own, once, as there is no table"
 
 
 @pytest.mark.parametrize("focal_px", [1800.0, 3600.0])

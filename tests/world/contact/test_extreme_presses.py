@@ -91,6 +91,7 @@ def test_rims_and_tips_too_small_to_see_are_sharp(key):
     assert math.isclose(small, tiny, rel_tol=1e-9)
 
 
+@pytest.mark.parametrize("patches", [10, pytest.param(16, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("probe", "steps"),
     [
@@ -98,9 +99,10 @@ def test_rims_and_tips_too_small_to_see_are_sharp(key):
         (Sphere(diameter_mm=20), (push(0.033, move_mm=(0.225, None, None)),)),
     ],
 )
-def test_friction_beyond_any_material_sticks(probe, steps):
+def test_friction_beyond_any_material_sticks(probe, steps, patches):
     """Stick and slip of patches at the border did not settle under a light press moved sideways."""
-    sensor = twin.Sensor(twin.load_scene("block_bare", {"material.poisson_ratio": 0.3}))
+    keys = {"material.poisson_ratio": 0.3, "accuracy.contact_patches": patches}
+    sensor = twin.Sensor(twin.load_scene("block_bare", keys))
     wanted = [Press(probe=probe, friction=mu, steps=steps) for mu in (1e5, STUCK)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -111,10 +113,11 @@ def test_friction_beyond_any_material_sticks(probe, steps):
     np.testing.assert_allclose(much.force_n, stuck.force_n, atol=1e-12)
 
 
-def test_a_light_press_moved_far_sideways_under_much_friction_settles():
+@pytest.mark.parametrize("across", [8, pytest.param(12, marks=pytest.mark.slow)])
+def test_a_light_press_moved_far_sideways_under_much_friction_settles(across):
     """The border carries a hundredth of its drag as normal force: Newton's steps alone swung."""
     steps = (push(0.02), Step(move_mm=(0.0533, 0.0399, None)))
     wanted = Press(probe=Pillar(width_mm=3, edge_mm=0.5), friction=100, steps=steps)
-    state = on_half_space(wanted, 12, nu=0.3, increments=4)
+    state = on_half_space(wanted, across, nu=0.3, increments=4)
     assert state.complete
     assert_coulomb(state, 100)

@@ -190,7 +190,7 @@ def test_sphere_that_slides_is_rubbed_by_the_coefficient_times_its_pressure_alon
     approach = Approach.of_press(press, body)
 
     def wanted(points):
-        return 0.6 + 0.8 * np.maximum(np.linalg.norm(points - approach.touch_mm, axis=1) - 1.2, 0.0)
+        return 0.9 + 0.8 * np.maximum(np.linalg.norm(points - approach.touch_mm, axis=1) - 1.2, 0.0)
 
     mesh = refined(body_mesh(body, "sketch"), body, wanted, local=True)
     rubber = Rubber(mesh, body, LAWS[0])
