@@ -326,8 +326,8 @@ class Table:
         progress: Progress | None = None,
         usable: float = USABLE,
     ) -> Table | None:
-        """Return the table of a block: the stored one, else (with ``make``) a new one; None
-        without.
+        """Return the table of a block: the shipped or pinned one, else (with ``make``) one from the
+        cache or a new one; None without, as what lies in the cache must not change a result.
 
         Making takes some seconds, for one ``poisson_ratio`` alone a fifth of them. A damaged file
         warns and counts as absent, like a table whose `Table.error` is above ``usable``.
@@ -338,13 +338,19 @@ class Table:
             return None
         usable *= CHECK if role == "check" else 1.0
         path = Table.path(body, role)
-        folder = PINNED.folder
-        of_all = path.exists() if folder is None else (folder / path.name).is_file()
-        if not of_all and poisson_ratio is not None:
+        of_one = poisson_ratio is not None and not _is_standard(body)
+        if (folder := PINNED.folder) is not None:
+            path = folder / path.name
+            if of_one and not path.is_file():
+                path = folder / Table.path(body, role, poisson_ratio).name
+            return _usable(path, usable)
+        if _is_standard(body):
+            return _usable(path, usable)
+        if not make:
+            return None
+        if of_one:
             path = Table.path(body, role, poisson_ratio)
-        if folder is not None:
-            return _usable(folder / path.name, usable)
-        if make and not path.exists() and not _is_standard(body):
+        if not path.exists():
             mesh = drawn_to_rim(body_mesh(body, MADE[role], progress=progress), body)
             table = Table.make(body, mesh, progress, poisson_ratio)
             with kept_if_possible():  # without the table solves stand in
@@ -671,10 +677,10 @@ class Tables:
         of_use = isinstance(self._body, Block) and low <= self._nu <= high
         if self._table is None and of_use and not self.nominal and not self._tried:
             self._tried = True  # a block that has no table has none, however often it is asked
-            if self._find("check", make=True) is not None:
-                self.__dict__["_table"] = self._find("truth", make=True)
-            for name in ("_at_nu", "check"):
-                self.__dict__.pop(name, None)
+            if (check := self._find("check", make=True)) is not None:
+                made = {"check": check.at(self._nu), "_table": self._find("truth", make=True)}
+                self.__dict__.update(made)
+                self.__dict__.pop("_at_nu", None)
 
     @cached_property
     def _table(self) -> Table | None:
