@@ -183,7 +183,7 @@ def run(
     a folder rest with one for each group of LEDs in light.lit), and truth.npz: of every frame time,
     force, contact, slip of every patch, and markers' places.
     With --h264 frames.mp4 holds the frames (pip install imageio-ffmpeg). twin reconstruct reads
-    both. Ctrl-C keeps what is filmed.
+    both. After Ctrl-C or a kill the same command goes on, to the same bytes.
 
     Parameters
     ----------

@@ -319,13 +319,11 @@ class Environment:
         if self._made is None:
             from twin.sense.track import Tracker
             from twin.study.calibrate import calibration_of
-            from twin.world.elasticity.compliance import Compliance
 
             sensor = self.sensor
             scene = self.sensor.nominal
             calibration = calibration_of(sensor)
-            if isinstance(sensor.compliance, Compliance):
-                sensor.compliance.keep(sensor.actual.markers.points)
+            sensor.keep_markers()
             rests = sensor.rest_pictures
             tracker = Tracker(rests, sensor.layout_px, method=scene.tracking.method)
             self._made = calibration, tracker

@@ -9,6 +9,7 @@ solved states along straight lines in time.
 from __future__ import annotations
 
 import io
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
@@ -20,7 +21,7 @@ import numpy as np
 from twin.arrays import Floats, Picture, Pixels, Progress, Singles, eight_bits
 from twin.blas_threads import one_blas_thread
 from twin.errors import ContactError, InputError, RecipeError, SomeFailed
-from twin.files import make_folder, png_bytes, write_whole
+from twin.files import make_folder, png_bytes, read_arrays, write_whole
 from twin.parts.load import Load
 from twin.parts.press import Press, Step, Triple
 from twin.parts.scene import Scene
@@ -288,9 +289,10 @@ def film_to_folder(
 ) -> str:
     """Film a scene's press; return a few lines about it.
 
-    `twin.commands.run` lists the files; of the truth see `_truth`. An interrupt keeps the frames so
-    far, and their truth; a killed process keeps the truth of most of them, but no video. With
-    ``h264`` the rest picture is encoded, too: halved colours move coloured markers by .2 px.
+    `twin.commands.run` lists the files; of the truth see `_truth`. After an interrupt, or a kill,
+    the same call solves the press again, keeps the frames whose truth is there (`_kept`), and ends
+    with the same bytes. With ``h264`` all are encoded at the end, and the rest picture, too: halved
+    colours move coloured markers by .2 px.
 
     Raises
     ------
@@ -303,7 +305,7 @@ def film_to_folder(
     SomeFailed
         The press has no equilibrium in some step: what is before it is filmed.
     """
-    from twin.study.frames import VideoWriter
+    from twin.study.frames import VideoWriter, read_picture
 
     # Refuse what can't be filmed, solve the press at every frame's time, empty the folder.
     if h264:
@@ -326,13 +328,28 @@ def film_to_folder(
     sensor = Sensor(scene, progress)
     progress("contact", 0.02)
     state = sensor.press(press)
-    make_folder(folder if h264 else pictures)
+    make_folder(pictures)
     rests = folder / "rest"
-    numbered = "[0-9]" * 6 + ".png"
-    for old in (film, folder / "rest.png", *pictures.glob(numbered), *rests.glob(numbered)):
+    states = state.path
+    sensor.keep_markers()  # digits must not follow from how many frames are there
+    exposures = Exposures(
+        sensor, ends_s[: len(states)], lambda number: sensor.quick_motion(states[number].load)
+    )
+    count = int(exposures.time_s[-1] * rate + _SAME_S) + 1
+    groups = scene.imaging[1].lit
+
+    def row_of(number: int) -> dict[str, Any]:
+        time_s = number / rate
+        at = exposures.state_at(time_s)
+        row = _row(sensor, exposures.motion(time_s), states[at - 1] if at else None)
+        return row | {"time_s": time_s} | ({"lit": number % len(groups)} if groups else {})
+
+    rows = _kept(folder, scene, row_of)[:count]
+    numbered = sorted(pictures.glob("[0-9]" * 6 + ".png"))
+    stale = [] if rows else [folder / "truth.npz"]
+    for old in (*stale, film, folder / "rest.png", *numbered[len(rows) :], *rests.glob("*.png")):
         old.unlink(missing_ok=True)
     write_whole(folder / "scene.toml", scene.to_toml().encode())
-    groups = scene.imaging[1].lit
     if groups:
         make_folder(rests)
     for number, rest in enumerate(sensor.rest_pictures):
@@ -340,39 +357,22 @@ def film_to_folder(
             rest = VideoWriter.encoded(rest, film)
         name = rests / f"{number:06d}.png" if groups else folder / "rest.png"
         write_whole(name, png_bytes(rest))
-    # Film it, as far as it goes.
-    states = state.path
-    exposures = Exposures(
-        sensor, ends_s[: len(states)], lambda number: sensor.quick_motion(states[number].load)
-    )
-    count = int(exposures.time_s[-1] * rate + _SAME_S) + 1
-    rows: list[dict[str, Any]] = []
 
     def write_truth() -> dict[str, Any]:
         truth = _truth(sensor, rows)
         write_whole(folder / "truth.npz", lambda file: np.savez_compressed(file, **truth))
         return truth
 
-    # A killed film keeps its truth up to the last write, which takes a twentieth of the time.
-    (folder / "truth.npz").unlink(missing_ok=True)
-    video = VideoWriter(film, (rest.shape[1], rest.shape[0]), rate) if h264 else None
+    # Film it, as far as it goes. A killed film keeps its truth up to the last write, which takes a
+    # twentieth of the time.
     written = time.monotonic()
     took = 0.0
     try:
-        for number in range(count):
+        for number in range(len(rows), count):
             progress(f"picture {number + 1} of {count}", 0.1 + 0.89 * number / count)
-            time_s = number / rate
-            picture = exposures.picture(time_s, number + 1, number)
-            at = exposures.state_at(time_s)
-            row = _row(sensor, exposures.motion(time_s), states[at - 1] if at else None)
-            if video is not None:
-                video.add(picture)
-            else:
-                write_whole(pictures / f"{number:06d}.png", png_bytes(picture))
-            row["time_s"] = time_s
-            if groups:
-                row["lit"] = number % len(groups)
-            rows.append(row)
+            picture = exposures.picture(number / rate, number + 1, number)
+            write_whole(pictures / f"{number:06d}.png", png_bytes(picture))
+            rows.append(row_of(number))
             if (begun := time.monotonic()) - written > _WRITE_EVERY * took:
                 write_truth()
                 written = time.monotonic()
@@ -380,8 +380,11 @@ def film_to_folder(
     finally:
         if rows:
             truth = write_truth()
-        if video is not None:
-            video.close()
+    if h264:
+        with VideoWriter(film, (rest.shape[1], rest.shape[0]), rate) as video:
+            for number in range(count):
+                video.add(read_picture(pictures / f"{number:06d}.png"))
+        shutil.rmtree(pictures)
     progress("done", 1.0)
     if not state.complete:
         raise SomeFailed(f"press: {state.reason}; the {count} pictures before are in {folder}")
@@ -421,6 +424,31 @@ def _row(sensor: Sensor, motion: Motion, state: ContactState | None) -> dict[str
         "patch_force_n": patches.force_n,
         "patch_slip": np.zeros(0, bool) if state is None else state.slips,
     }
+
+
+def _kept(
+    folder: Path, scene: Scene, row_of: Callable[[int], dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Return the truth of the frames that an interrupted film of the scene left: none unless the
+    last row is what this program finds for that frame."""
+    try:
+        if (folder / "scene.toml").read_bytes() != scene.to_toml().encode():
+            return []
+        truth = read_arrays(folder / "truth.npz")
+        count = len(truth["time_s"])
+        last = row_of(count - 1)
+        ends = np.searchsorted(truth["patch_frame"], np.arange(1, count))
+        columns = [
+            np.split(truth[name], ends) if name.startswith("patch") else truth[name]
+            for name in last
+        ]
+        rows = [dict(zip(last, row, strict=True)) for row in zip(*columns, strict=True)]
+        if not all(np.array_equal(value, rows[-1][name]) for name, value in last.items()):
+            return []
+    except (OSError, ValueError, KeyError, IndexError, TypeError):
+        return []
+    there = [(folder / "frames" / f"{number:06d}.png").is_file() for number in range(count)]
+    return rows[: [*there, False].index(False)]
 
 
 def _truth(sensor: Sensor, rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -422,6 +422,14 @@ class Sensor:
             passive, load, lambda p: self.compliance.displacement(p, gathered(p, whole))
         )
 
+    def keep_markers(self) -> None:
+        """Prepare for many loads that move the markers: products are made at once, not after so
+        many loads."""
+        from twin.world.elasticity.compliance import Compliance
+
+        if isinstance(self.compliance, Compliance):
+            self.compliance.keep(self.actual.markers.points)
+
     @cached_property
     def stiff_beads(self) -> StiffBeads | None:
         """The actual rigid beads and their interaction; None where no layer is ``stiff``."""
