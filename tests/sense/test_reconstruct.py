@@ -115,6 +115,17 @@ def test_pseudo_inverse_diverges_as_the_paper_says():
     assert scored(smooth, *disk(*load))["field_error"] < 0.6
 
 
+def test_the_pseudo_inverse_states_the_noise_that_it_leaves_over():
+    """The paper's centroid states .07 px of any picture; nothing of the fit's residual was stated."""
+    random, chi = np.random.default_rng(8), []
+    for _ in range(40):
+        shift = random.normal(0, 0.21, (len(FINGER[2].layer), 2))
+        field = reconstruct(as_found(shift, FINGER[2], 0.07), FINGER[2], "pinv")
+        chi.append(field.total_force_n / field.sd_total_n)
+    assert field.noise_px == pytest.approx(0.21, rel=0.25)
+    assert np.sqrt(np.mean(np.square(chi))) == pytest.approx(1.0, abs=0.2)
+
+
 def test_noisy_markers_weigh_less():
     load = (0, 0), 5.0, (0, 0, 3.0)
     found, random = pressed(FLAT, *load, 0.02), np.random.default_rng(5)
@@ -295,6 +306,10 @@ def test_what_an_unsure_thickness_makes_of_totals_is_stated():
         return reconstruct(as_found(shift, calibration, 0.02), calibration, "norm", 20.0)
 
     sure, field = read(shift, calibration), read(shift, dataclasses.replace(calibration, by_thickness=change))
+    short = reconstruct(
+        dataclasses.replace(as_found(shift, calibration, 0.02), gain_error=0.3), calibration, "norm", 20.0
+    )
+    assert short.sd_total_n == pytest.approx(np.hypot(sure.sd_total_n, 0.3 * sure.total_force_n))
     taken = read((change @ field.force_n.ravel()).reshape(-1, 2), calibration)
     for total, sd in (("total_force_n", "sd_total_n"), ("total_torque_nmm", "sd_torque_nmm")):
         assert getattr(field, sd) == pytest.approx(np.hypot(getattr(sure, sd), getattr(taken, total)), rel=1e-4)

@@ -210,6 +210,15 @@ def test_soft_window_beats_the_papers_cells():
     assert spread["two-pass"] < 0.3
 
 
+def test_centroids_that_follow_their_cells_state_how_much_of_a_small_motion_they_lack():
+    """Clipped noise fills the cell, which small motion doesn't move; a fit has no cell."""
+    found = track(picture(0.0, 1), picture(0.3, 2), LAYOUT, method="two-pass")
+    lacking = 1.0 - np.mean(found.shift_px) / 0.3
+    assert lacking > 0.04
+    assert found.gain_error == pytest.approx(lacking, rel=0.6)
+    assert track(picture(0.0, 1), picture(0.3, 2), LAYOUT).gain_error == 0
+
+
 @pytest.mark.parametrize("kind", ["bump", "radial", "uniform"])
 def test_half_pitch_motion_is_matched(kind):
     """15 px at a pitch of 30 px with 5 % missing, and one that was never there: all matched, none invented."""

@@ -74,7 +74,7 @@ class Calibration:
         `scale_error`.
     by_thickness
         (2n, 3k) px/N, how much `transfer` changes by one standard deviation of the body's
-        thickness; (0, 0) where that isn't known.
+        thickness, or from a half-space to the drawn body; (0, 0) where that isn't known.
     compliance
         (3n, 3k) mm/N, marker motion per site force, where the camera's bend is to be followed; else
         (0, 0).

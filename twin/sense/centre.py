@@ -106,12 +106,15 @@ class CentreEstimator:
     sd_px, usual_sd_px
         (n,) standard deviation of the rest position, and of the shift to a picture that looks the
         same, px.
+    gain_error
+        Standard deviation of a factor that all shifts share, from 1.
     """
 
     look: Look
     around: Neighbourhood
     sd_px: Floats
     usual_sd_px: Floats
+    gain_error: float = 0.0
 
     @property
     def roughness_px(self) -> float:

@@ -1,13 +1,18 @@
 """The flat paper's centroid (Kamiyama et al., sections 2.1 and 2.2): of the signal in a mesh cell
 around the nominal, then the rest position, taken a second time with the cell centred on the first.
 
-It is the baseline. A marker must stay in its cell; ground and shading pull the centroid.
+It is the baseline. A marker must stay in its cell; ground and shading pull the centroid. So motion
+that is too small to move the cell by a pixel is measured too small. By how much is found by moving
+the cells in the rest picture: centroids should not follow (`PaperCentroid.gain_error`). On the flat
+sensor under an NTSC camera they follow by .11; shifts of .1 to .6 px are .045 too small, at the
+border .2, and total forces 0.12.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,7 +38,16 @@ class PaperCentroid(CentreEstimator):
             rest_px = cls._centroids(picture, look, look.nominal_px, spacing_px)
             nothing = np.full(len(rest_px), np.nan)
             around = Neighbourhood.of(rest_px, spacing_px)
-            groups.append(cls(look=look, around=around, sd_px=nothing, usual_sd_px=nothing))
+            followed: list[float] = []
+            for axis, step in enumerate(np.eye(2)):
+                ahead, behind = (
+                    cls._centroids(picture, look, rest_px + side, spacing_px, passes=1)[:, axis]
+                    for side in (step, -step)
+                )
+                followed += list((ahead - behind)[np.isfinite(ahead - behind)] / 2)
+            gain = float(abs(np.mean(followed))) if followed else 0.0
+            group = cls(look=look, around=around, sd_px=nothing, usual_sd_px=nothing)
+            groups.append(replace(group, gain_error=gain))
         return groups
 
     def measure(self, picture: Picture, start_px: Pixels | None) -> Seen:
@@ -44,7 +58,9 @@ class PaperCentroid(CentreEstimator):
         return Seen(shift_px=shift, sd_px=np.full(len(known), SD_PX), state=state)
 
     @staticmethod
-    def _centroids(picture: Picture, look: Look, start_px: Pixels, cell_px: float) -> Pixels:
+    def _centroids(
+        picture: Picture, look: Look, start_px: Pixels, cell_px: float, passes: int = PASSES
+    ) -> Pixels:
         """Return the (n, 2) centroids of square cells of side ``cell_px`` around ``start_px``, px.
 
         NaN where a cell's brightest pixel stays below the contrast. (The paper has no such test,
@@ -53,18 +69,18 @@ class PaperCentroid(CentreEstimator):
         out = np.empty((len(start_px), 2))
         colour = (*map(float, look.weights), float(look.ground_dn))
         half = max(1, round(cell_px / 2))
-        _cell_centroids(picture, colour, start_px, half, look.contrast_dn, out)
+        _cell_centroids(picture, colour, start_px, half, look.contrast_dn, passes, out)
         return out
 
 
 @njit(cache=True)  # not fastmath, which takes NaN for a number
-def _cell_centroids(image, colour, start, half, least, out):
+def _cell_centroids(image, colour, start, half, least, passes, out):
     """Fill ``out`` (n, 2) with the centroids of the positive signal in the cells."""
     height, width = image.shape[0], image.shape[1]
     red, green, blue, ground = colour
     for k in range(len(start)):
         x, y = start[k, 0], start[k, 1]
-        for _ in range(PASSES):
+        for _ in range(passes):
             mass, sx, sy, highest = 0.0, 0.0, 0.0, 0.0
             if math.isfinite(x) and math.isfinite(y):
                 column, row = int(np.rint(x)), int(np.rint(y))

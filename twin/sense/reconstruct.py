@@ -85,9 +85,9 @@ class Field(Table):
     sd_force_n
         (k, 3) standard deviation of the linear estimate's forces, given the prior, N.
     sd_total_n, sd_torque_nmm
-        (3,) standard deviations of the totals, N and N mm: by the noise, and by what the
-        calibration leaves open (`Calibration.scale_error`, `Calibration.by_thickness`; recorded
-        places leave nothing). By ``local`` also by where forces are expected.
+        (3,) standard deviations of the totals, N and N mm: by the noise, by what the calibration
+        leaves open (`Calibration.scale_error`, `Calibration.by_thickness`; recorded places leave
+        nothing), and by `Found.gain_error`. By ``local`` also by where forces are expected.
     used
         (n,) which markers took part.
     wrong
@@ -260,7 +260,7 @@ def reconstruct(
         np.diag(problem.factors.covariance(linear.weight, calibration.total_rows))
     )
     sd_total[:3] = np.hypot(sd_total[:3], moved)
-    sd_total = np.hypot(sd_total, calibration.scale_error * totals)
+    sd_total = np.hypot(sd_total, np.hypot(calibration.scale_error, found.gain_error) * totals)
     if calibration.by_thickness.size:
         sd_total = np.hypot(sd_total, linear.totals_by_thickness)
     kkt = 0.0
@@ -428,8 +428,6 @@ class _Linear:
     @cached_property
     def scale(self) -> float:
         """Noise as the fit has it, over the stated one."""
-        if self.weight <= 0:
-            return 1.0
         return self.problem.factors.noise_scale(self.data, self.weight)
 
     @property

@@ -273,14 +273,19 @@ class Factors:
 
     def noise_scale(self, data: Floats, weight: float) -> float:
         """Return how much larger the noise is than stated, as the marginal likelihood at ``weight``
-        has it."""
+        has it; for weight 0 the residual, the stated noise being one datum more."""
         if len(self.rows):
             residual = data - self.predicted(data, weight)
             squared = max(float((self.share * data) @ residual), 0.0)
         else:  # without the cancellation where weights are small
             seen = self._spectrum(data)
-            squared = float(seen.energy @ (weight / (seen.squared + weight))) + seen.rest
-        return float(np.sqrt(squared / max(int((self.share > 0).sum()), 1)))
+            squared = seen.rest
+            if weight > 0:
+                squared += float(seen.energy @ (weight / (seen.squared + weight)))
+        count = int((self.share > 0).sum())
+        if weight <= 0:
+            squared, count = squared + 1.0, count - len(self.singular) + 1
+        return float(np.sqrt(squared / max(count, 1)))
 
     def covariance(self, weight: float, rows: Floats) -> Floats:
         """Return the (q, q) covariance of ``rows`` (q, 3k) times the forces, at unit noise.

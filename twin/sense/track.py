@@ -87,6 +87,8 @@ class Found(Table):
     spurious_px
         (s, 2) spots that look like markers and are none's, px; None where the whole picture was not
         searched.
+    gain_error
+        Standard deviation of a factor that all shifts share, from 1.
     """
 
     _title: ClassVar[str] = "Marker motion"
@@ -100,6 +102,7 @@ class Found(Table):
     state: NDArray[np.uint8] | None = None
     spurious_px: Pixels | None = None
     usual_sd_px: Floats | None = None
+    gain_error: float = 0.0
 
     def __post_init__(self) -> None:
         if self.state is None:
@@ -436,4 +439,5 @@ def track_frame(
         state=state,
         spurious_px=None if spurious is None else frozen(np.concatenate(spurious)),
         usual_sd_px=usual,
+        gain_error=max(group.gain_error for group in rest.groups),
     )

@@ -261,11 +261,15 @@ def _calibrate_by_design(sensor: Sensor) -> Calibration:
     made = nominal_calibration(sensor, _nominal_compliance(sensor, sensor.sites))
     scene = sensor.nominal
     more = scene.tolerance.thickness_mm if scene.tolerance.preset != "none" else 0.0
-    if not more:
+    if scene.calibration.method == "halfspace":
+        markers = sensor.nominal_markers.points
+        drawn = sensor.nominal_compliance.to_points(markers, sensor.sites)
+        other = _through_camera(sensor, drawn)
+    elif more:
+        other = _nominal_transfer(Sensor(scene.thicker(more), sensor.progress), sensor.sites)
+    else:
         return made
-    other = Sensor(scene.thicker(more), sensor.progress)
-    changed = _nominal_transfer(other, sensor.sites) - made.transfer
-    return replace(made, by_thickness=changed.astype(np.float32))
+    return replace(made, by_thickness=(other - made.transfer).astype(np.float32))
 
 
 def nominal_calibration(sensor: Sensor, compliance: Floats) -> Calibration:
