@@ -235,93 +235,37 @@ def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
     room = Scene.Tolerance(depth_mm=slack).most_of_thickness_mm(thickness, deepest)
     thickness_sd = min(0.02 * thickness, 0.9 * room)
     printed = min(0.03, min(pitch for _, pitch, _ in layers) / 20)
-    text = f"""title = "A pad of {width:g} x {length:g} x {thickness:g} mm, by twin scenes --new"
-seed = 1              # another number: another made sensor, other noise
-assumed.seed = "any number will do"
-
-[body]
-shape = "block"
-width_mm = {width:g}       # along x
-length_mm = {length:g}      # along y
-thickness_mm = {thickness:g}   # along z; z = 0 is pressed, the other side is bonded to a plate
-assumed = "as given to twin scenes --new"
-
-[material]
-youngs_modulus_mpa = {pad.modulus_mpa:g}  # 1 MPa = 1000 kPa; gels 0.05 to 0.5, silicones 0.5 to 3
-poisson_ratio = 0.48      # nearly incompressible
-refractive_index = {SILICONE}
-assumed = "modulus as given; usual values of silicone"
-
-[cover]
-thickness_mm = {coat:.4g}  # coat above the dots
-albedo = {ground}
-assumed = "a thin coat that follows the rubber"
-{tables}
-[camera]
-width_px = {pad.resolution[0]}
-height_px = {pad.resolution[1]}
-lens = "pinhole"          # "equidistant" for a fisheye lens
-focal_px = {focal:.5g}    # a picture {fov:.4g} degrees wide
-pupil_mm = [0, 0, {height:.5g}]  # the lens: {distance:g} mm behind the pad's back
-assumed = "as given to twin scenes --new; looks at the middle of the pad"
-
-[[camera.layers]]
-index = {ACRYLIC}
-thickness_mm = {plate:.3g}
-assumed = "acrylic plate that the pad is bonded to"
-
-[light]
-positions_mm = {corners}
-exponent = 1.0
-ambient = 0.2
-assumed = "four LEDs beside the lens"
-
-[ccd]
-preset = "industrial"     # noise of the camera; see docs: sato_60fps, kamiyama_ntsc, ideal
-
-[press]
-at_mm = [{0.04 * width:.3g}, {0.02 * length:.3g}]
-friction = 0
-force_n = {{z = {force:.3g}}}
-assumed.at_mm = "beside the middle, so that no mirror plane helps"
-assumed.friction = "a normal press hardly depends on it"
-assumed.force_n = "a light touch: {depth:.2g} mm deep by Hertz' law"
-
-[press.probe]
-kind = "sphere"
-diameter_mm = {probe:.3g}
-assumed = "a quarter of the pad"
-
-[accuracy]
-displacement = 5e-3       # largest error over largest displacement
-assumed = "well below the noise of the tracker"
-
-[tolerance]               # how well the maker knows the sensor: standard deviations
-youngs_modulus_pct = 1.5
-thickness_mm = {thickness_sd:.3g}
-depth_mm = {slack:.3g}
-print_mm = {printed:.3g}
-pupil_mm = 0.05
-tilt_deg = 0.2
-assumed = "careful casting and a ruler"
-
-[calibration]
-method = "compliance"     # from the design; "fitted" for a real sensor's presses
-press_probe_mm = {probe:.3g}    # the ball of those presses
-press_force_n = {force:.3g}
-assumed = "as the press above"
-
-[reconstruction]
-method = "local"          # smooth finds far too little force on thin pads and by one layer
-weight = "auto"
-push_only = true          # nothing sticks to the pad
-friction = 0.5
-assumed = "usual values of a dry pad"
-
-[reconstruction.sites]    # where forces are found
-columns = {site_columns}
-rows = {site_rows}
-pitch_mm = {site:.4g}
-assumed = "over the dots"
-"""
+    text = (
+        Path(__file__)
+        .with_suffix(".txt")
+        .read_text(encoding="utf-8")
+        .format(
+            acrylic=ACRYLIC,
+            coat=coat,
+            corners=corners,
+            depth=depth,
+            distance=distance,
+            focal=focal,
+            force=force,
+            fov=fov,
+            ground=ground,
+            height=height,
+            length=length,
+            pad=pad,
+            plate=plate,
+            printed=printed,
+            probe=probe,
+            silicone=SILICONE,
+            site=site,
+            site_columns=site_columns,
+            site_rows=site_rows,
+            slack=slack,
+            tables=tables,
+            thickness=thickness,
+            thickness_sd=thickness_sd,
+            width=width,
+            x=0.04 * width,
+            y=0.02 * length,
+        )
+    )
     return text, unseen

@@ -253,6 +253,7 @@ def _failures(plan: Plan, places: Places) -> tuple[set[int], str]:
     return failed, reason
 
 
+_CARD = Path(__file__).with_name("card.md")
 _LICENCE = "https://creativecommons.org/publicdomain/zero/1.0/"
 
 
@@ -269,67 +270,23 @@ def _card_text(plan: Plan, places: Places, audit: dict[str, Any], failed: int) -
     )
     versions = ", ".join(f"{name} {version}" for name, version in info["versions"].items())
     again = "1 sample was" if audit["samples"] == 1 else f"{audit['samples']} samples were"
-    return f"""---
-license: cc0-1.0
-tags: [tactile, simulation, physics, robotics]
-configs:
-- config_name: samples
-  data_files: data/*.parquet
-  default: true
-- config_name: sensors
-  data_files: sensors/*.parquet
----
-# {scene.title or "Presses on a tactile sensor"}
-
-{plan.samples} presses on {sensors} made sensor{"s" if sensors > 1 else ""} of one design,
-simulated with `twin`; {failed} of them failed and are rows with their error. Lengths in mm, forces
-in N, z into the body; x is right and y is up in the picture, whose pixel (0, 0) is the centre of
-the top left one.
-
-```python
-import datasets, pyarrow.parquet, twin
-
-samples = datasets.load_dataset("parquet", data_files="data/*.parquet", split="train")
-samples = samples.cast_column("picture", datasets.Image())  # if it has pictures
-samples = pyarrow.parquet.read_table("data")
-sample = twin.open_dataset(".")[0]
-```
-
-`meta/` has the scene (`scene.toml`), the meshes, `info.json` with schema, units and versions, and
-`SHA256SUMS`. The same command makes the same bytes.
-
-## What varies
-
-{varies or "Nothing: every sample is the same press."}
-Sampling is {scene.dataset.sampling}, seed {scene.seed}; a new sensor is made every
-{scene.dataset.samples_per_sensor} samples.
-
-## How far off the truth is
-
-{again} computed again at the highest accuracy (twice the contact patches and steps, no patches
-gathered, the body's finest mesh, 12 x 12 rays per pixel). Differences:
-
-| quantity | median | largest |
-| --- | --- | --- |
-{figures}
-Projection is closed form, good to 1e-6 px. The error of the finest mesh or table stands in
-`docs/elasticity.md` (0.02 % on the standard block, 0.09 % on the finger), that of linear theory
-in the column `linearisation_error`. {_model(scene.material)}
-
-## Columns
-
-| column | unit | what |
-| --- | --- | --- |
-{_rows(plan.row_columns)}
-Of the sensors:
-
-| column | unit | what |
-| --- | --- | --- |
-{_rows(plan.sensor_columns)}
-## Made with
-
-{versions}{"; renderer " + info["renderer"] if info["renderer"] else ""}.
-"""
+    return _CARD.read_text(encoding="utf-8").format(
+        title=scene.title or "Presses on a tactile sensor",
+        samples=plan.samples,
+        sensors=sensors,
+        s="s" if sensors > 1 else "",
+        failed=failed,
+        varies=varies or "Nothing: every sample is the same press.",
+        dataset=scene.dataset,
+        seed=scene.seed,
+        again=again,
+        figures=figures,
+        model=_model(scene.material),
+        row_columns=_rows(plan.row_columns),
+        sensor_columns=_rows(plan.sensor_columns),
+        versions=versions,
+        renderer=f"; renderer {info['renderer']}" if info["renderer"] else "",
+    )
 
 
 def _model(material: Material) -> str:
