@@ -138,6 +138,16 @@ def test_footprints_have_the_second_moments_of_hertz_and_of_a_stuck_disc():
     assert shares[1] @ offsets**2 == pytest.approx([1 / 3, 1 / 3], abs=0.012)
 
 
+def test_markers_around_a_press_in_the_middle_move_alike():
+    """Those of a grid seen from the middle, turned by half a turn."""
+    scene = load_scene("kamiyama_pillar")
+    twin = FittedDesign(scene, Rectangles.on_surface(scene.body, np.zeros((1, 2)), 0.5, "places"), np.ones(1))
+    unknown = np.full((636, 2), np.nan)
+    shift = twin.predict(np.zeros(len(twin.names)), unknown, np.zeros(1, int), np.array([[0.0, 0.0, 1.0]]))[1][0]
+    for layer in (shift[:336], shift[336:]):
+        assert layer == pytest.approx(-layer[::-1], abs=1e-4 * np.abs(shift).max())
+
+
 @pytest.mark.slow
 def test_a_cover_of_the_recipe_is_part_of_the_fitted_design():
     """As drawn, markers move as in the nominal body with its cover; without it they would be over 5 % off."""
