@@ -163,6 +163,14 @@ def test_a_step_moves_the_probe_of_the_press_before_on(environment: twin.Environ
     assert seen.truth.total_force_n == pytest.approx(whole.truth.total_force_n, rel=1e-9, abs=1e-12)
     from_rest = environment.step(twin.Press(probe=down.probe, friction=0.4, steps=(path[0], path[1])))
     assert abs(seen.truth.total_force_n[0] - from_rest.truth.total_force_n[0]) > 0.02
+    outside = twin.Traction.disk(centre_mm=(900, 0), radius_mm=2, force_n=(0, 0, 1))
+    environment.step(down)
+    environment.step(aside[0])
+    for wrong, problem in ((outside, "surface"), ("press", "load")):
+        with pytest.raises(InputError, match=problem):
+            environment.step(wrong)
+    again = environment.step(aside[1])
+    assert again.truth.total_force_n == pytest.approx(seen.truth.total_force_n), "as if nothing wrong had come"
     environment.step(None)
     with pytest.raises(InputError, match="follows a press"):
         environment.step(aside[0])

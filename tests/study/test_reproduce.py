@@ -318,6 +318,7 @@ def test_a_page_says_first_what_nothing_explains() -> None:
     table = {"name": "kamiyama/fig-6", "title": "t", "source": "s", "protocol": "p", "notes": [], "records": [row]}
     page = reproduction([table], {}, {}, {}, {"What it can do": ["It feels."]}, [], seed=1, quick=True)
     assert page.index("It feels.") < page.index("What no modelled cause explains") < page.index("<article")
-    assert "share: paper 1, twin 2 ± 0.1 px" in page
+    assert "Fig. 6</a>: share: paper 1, twin 2 ± 0.1 px" in page
+    assert "<h3>Fig. 6. t</h3>" in page
     fine = {**table, "records": [{**row, "verdict": "agrees"}]}
     assert "What no modelled cause explains" not in reproduction([fine], {}, {}, {}, {}, [], seed=1, quick=True)

@@ -262,7 +262,7 @@ def in_words(error: Mapping[str, Any], field: FieldInfo | None = None) -> str:
     """Return a validation error in the words of a recipe; ``field``'s list is the example."""
     kind = str(error["type"])
     if kind == "tuple_type":
-        return f"must be a list, such as {_example(field and field.annotation) or '[0, 0]'}"
+        return f"must be a list, such as {_example(field and field.annotation) or '[1, 1]'}"
     facts = error.get("ctx") or {}
     if kind in ("too_short", "too_long") and "field_type" in facts:
         bound = (
@@ -285,7 +285,7 @@ def _example(annotation: Any) -> str:
     inside = [each for each in get_args(annotation) if each is not Ellipsis]
     inside *= 2 if Ellipsis in get_args(annotation) else 1
     if get_origin(annotation) is tuple:
-        return f"[{', '.join(_example(each) or '0' for each in inside)}]"
+        return f"[{', '.join(_example(each) or '1' for each in inside)}]"
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "{...}"
     return next((example for each in inside if (example := _example(each)).startswith("[")), "")

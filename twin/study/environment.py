@@ -16,11 +16,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from numbers import Real
+from types import NoneType
 from typing import TYPE_CHECKING
 
 from twin.arrays import Floats, Picture, Pixels, Points, Progress
 from twin.blas_threads import one_blas_thread
-from twin.errors import ContactError, InputError, RecipeError
+from twin.errors import ContactError, InputError, RecipeError, TwinError, require
 from twin.parts.load import Load
 from twin.parts.press import Press, Step
 from twin.parts.scene import Scene
@@ -181,10 +182,20 @@ class Environment:
         ------
         InputError
             The load misses the sensing surface, the picture shows too few markers, or what should
-            follow a press follows none of its kind.
+            follow a press follows none of its kind. Then, as after a `ContactError`, the sensor is
+            where it was before.
         ContactError
             The press has no equilibrium, or did not come to its end.
         """
+        before = self._loads, self._press, self._last, self._history
+        try:
+            return self._stepped(load, seconds)
+        except TwinError:
+            self._loads, self._press, self._last, self._history = before
+            raise
+
+    def _stepped(self, load: Load | Press | Step | None, seconds: float | None) -> Observation:
+        require(load, (Load, Press, Step, NoneType), "load", "a twin.Press, Traction, Step or None")
         if isinstance(load, Step) and seconds is None:
             seconds = load.seconds
         if seconds is not None and not (isinstance(seconds, Real) and 0.0 <= seconds < math.inf):
@@ -245,7 +256,7 @@ class Environment:
             raise InputError(
                 "step: with seconds no load of given tractions follows a press; call reset() first"
             )
-        self._loads.append((load, seconds))
+        self._loads = [*self._loads, (load, seconds)]
         relaxation = self.sensor.relaxation
         if relaxation is None:
             return load

@@ -390,10 +390,11 @@ def _complaints(problem: ValidationError, table: Mapping[str, Any]) -> list[str]
 
 
 def _is_other_word(error: dict[str, Any], errors: list[dict[str, Any]]) -> bool:
-    """Return whether an error is about a word in place of a number, whose range is more useful."""
+    """Return whether an error is about a word in place of numbers, whose range is more useful."""
     if error["type"] != "literal_error" or isinstance(error.get("input"), str):
         return False
-    return any(other is not error and other["loc"][:-1] == error["loc"][:-1] for other in errors)
+    key = error["loc"][:-1]
+    return any(other is not error and other["loc"][: len(key)] == key for other in errors)
 
 
 def _nearest(errors: list[dict[str, Any]], table: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 from small_scenes import SPLAT, beads, block, changed, faced, measured, mitsuba, rest_of, scene_of, seen_at
 
 import twin
-from twin.errors import RecipeError
+from twin.errors import AccuracyWarning, RecipeError
 from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.markers import MarkerSet
 from twin.parts.material import Cover
@@ -663,3 +663,8 @@ def test_light_of_the_surroundings_comes_through_but_for_the_probe():
     assert (hidden[42:46, 57:62] == 0).all()
     with pytest.raises(ValueError, match=r"light.outside: the cover hides it; set cover.transmittance"):
         scene_of("block", light={**scene_of("block").light.model_dump(), "outside": (1, 1, 1)})
+
+
+def test_leds_that_the_window_mirrors_over_the_picture_are_said_to_darken_it():
+    with pytest.warns(AccuracyWarning, match=r"mirrors the LEDs .* all else is 2\.1 times darker"):
+        twin.Sensor(twin.load_scene("gelpad_press", {"light.radius_mm": 1})).picture(None)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, partial
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.arrays import Floats, Points, Singles
-from twin.errors import MissingCapability, RecipeError
+from twin.errors import AccuracyWarning, MissingCapability, RecipeError
 from twin.parts.load import Load
 from twin.parts.scene import Scene
 from twin.world.picture.backend import FORCE, Variant
@@ -119,7 +120,19 @@ class Renderer:
         self._top, white = Lamps.brightest(rest, scene)
         self._unit = float(np.median([layer.diameter_mm / 2 for layer in scene.markers.values()]))
         view = View.of(scene, self._top)
-        self._gain = gain or scene.ccd.white_level / max(white, view.ground_light(scene.ccd))
+        ground = view.ground_light(scene.ccd)
+        self._gain = gain or scene.ccd.white_level / max(white, ground)
+        if view.veil is not None:
+            darker = ground / max(white, replace(view, veil=None).ground_light(scene.ccd))
+            if darker > 2:
+                warnings.warn(
+                    "the window mirrors the LEDs into more than 1 % of the picture, which sets its "
+                    f"exposure: all else is {darker:.2g} times darker. Move light.positions_mm to "
+                    f"the side, make light.radius_mm ({scene.light.radius_mm:g}) smaller, or raise "
+                    f"ccd.exposure ({scene.ccd.exposure:g})",
+                    AccuracyWarning,
+                    stacklevel=2,
+                )
         self._view = view.times(self._gain)
         self._splat = Splat(self._view, self._unit, scene.light.ambient)
         self._parts: list[tuple[Singles, Renderer]] = []
