@@ -59,12 +59,11 @@ def test_a_lattice_is_its_matrix(nu):
     same("normal_block", rows, columns)
     same("normal_displacement", force[:, 2])
     largest = np.abs(same("apply", force)).max()
-    found.select(rows)
-    some = found.product(force[rows].T.astype(np.float32)) * found.unit
+    some = found.product(rows, force[rows].T) * found.unit
     own = np.einsum("kalb,lb->ak", matrix[rows][:, :, rows], force[rows])
     assert_allclose(some, own, rtol=0.0, atol=3e-6 * largest)
     # the preconditioner is an inverse but for what couples normal and tangential motion, and the border
-    back = found.approx_solve(found.product(force[rows].T.astype(np.float32))[..., None])[..., 0].T
+    back = found.approx_solve(rows, found.product(rows, force[rows].T)[..., None])[..., 0].T
     assert np.linalg.norm(back - force[rows]) < 0.3 * np.linalg.norm(force)
     # what stands for a matrix is symmetric (Betti): f . C g = g . C f
     other = rng.normal(size=(k, 3))
@@ -211,8 +210,7 @@ def test_two_balls_on_a_curved_body_have_an_inverse_each():
     whole = np.kron(np.eye(2), one).reshape(n, 3, n, 3)
     influence = DenseInfluence(whole, grids, 0.3)
     force, rows = np.random.default_rng(5).normal(size=(n, 3)), np.arange(n)
-    influence.select(rows)
-    moved = influence.product(force.T.astype(np.float32))
-    assert undone(influence.approx_solve(moved[..., None])[..., 0].T, force)
+    moved = influence.product(rows, force.T)
+    assert undone(influence.approx_solve(rows, moved[..., None])[..., 0].T, force)
     push = influence.approx_push(rows, influence.normal_displacement(force[:, 2]))
     assert undone(push, force[:, 2])

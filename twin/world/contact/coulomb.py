@@ -34,7 +34,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -55,8 +54,8 @@ round-off moves it."""
 
 _LEAST_SHARE = 1e-5
 _MOST_SHARE = 1e-3
-"""Residual over the right-hand side: the least that single precision reaches, and the largest that
-a step may leave."""
+"""Residual over the right-hand side: the least that is asked of GMRES, as the next step measures
+what is left, and the largest that a step may leave."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,8 +214,7 @@ class _NewtonSystem:
     def _iterate(
         self, influence: Influence, right: Floats, balance: Floats, share: float
     ) -> tuple[Floats, Floats] | None:
-        """Return the solution by GMRES in single precision, lengths over the compliance's unit;
-        None if out of reach.
+        """Return the solution by GMRES, lengths over the compliance's unit; None if out of reach.
 
         Equations across the drag are multiplied by c. The preconditioner shares its root between
         rows and columns, and adds 1 - c for the shift: at c = 0, as without friction, nothing else
@@ -225,27 +223,27 @@ class _NewtonSystem:
         status = self.status
         across = status.across
         unit = influence.unit
-        influence.select(status.touching)
-        turned = status.share.astype(np.float32)
-        shift = (self.shift / unit).astype(np.float32)
-        root: Any = np.ones((status.size, 1), np.float32)
+        rows = status.touching
+        turned = status.share
+        shift = self.shift / unit
+        root = np.ones((status.size, 1))
         root[across, 0] = np.sqrt(turned)
 
         def product(x: Floats) -> Floats:
-            out = status.restrict(influence.product(status.forces(x)))
+            out = status.restrict(influence.product(rows, status.forces(x)))
             out[across] = turned * out[across] + shift * x[across]
             return out
 
         def approx_solve(y: Floats) -> Floats:
-            out = status.restrict(influence.approx_solve(status.prolong(y * root))) * root
+            out = status.restrict(influence.approx_solve(rows, status.prolong(y * root))) * root
             out[across] += (1.0 - turned)[:, None] * y[across]
             return np.asarray(out)
 
         system = SaddlePoint(
             product=product,
             approx_solve=approx_solve,
-            motion=(self.motion / self.lever_arm).astype(np.float32),
-            pull=(self.pull / self.lever_arm[:, None]).astype(np.float32),
+            motion=self.motion / self.lever_arm,
+            pull=self.pull / self.lever_arm[:, None],
         )
         found = system.solve(
             right / unit, balance / self.lever_arm, min(_MOST_SHARE, max(share, _LEAST_SHARE))

@@ -15,9 +15,6 @@ restricted to the patches in contact (E. A. H. Vollebregt, J. Optim. Theory Appl
 Six products reduce the residual to a thousandth. Graded cells have
 the Cholesky factors of the matrix's normal and tangential blocks instead.
 
-Newton steps work in single precision, which halves the time of a product: the next step measures
-the residual in double precision.
-
 Validity: the exact influence of a uniform rectangle on the middle of another, and the table's
 error.
 """
@@ -29,7 +26,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.linalg import blas, lapack
@@ -118,7 +115,6 @@ class _Convolution:
     def __init__(
         self,
         spectra: Floats,
-        precision: type[np.floating[Any]],
         correction: Floats | None = None,
         sides: tuple[Floats, Floats] | None = None,
     ) -> None:
@@ -127,19 +123,15 @@ class _Convolution:
         rows = [_waves(n) for n in self._shape]
         if correction is not None and sides is not None:
             rows = [np.concatenate([wave, side.T]) for wave, side in zip(rows, sides, strict=True)]
-        self._u, self._v = (np.ascontiguousarray(row, precision) for row in rows)
+        self._u, self._v = rows
         self._u_back = np.ascontiguousarray(self._u.T)
         self._v_back = np.ascontiguousarray(self._v.T)
-        self._correction = np.ascontiguousarray(
-            np.zeros((0, 0)) if correction is None else correction,
-            precision,
-        )
+        self._correction = np.zeros((0, 0)) if correction is None else correction
         self._odd_u, self._odd_v = (_odd_partner(n) for n in self._shape)
         # The normal part alone only scales waves: its spectrum is kept for each of them.
-        on_waves = (
+        self._spectra = (
             spectra[:, self._odd_u[0][:, None], self._odd_v[0]] if self._axes == 1 else spectra
         )
-        self._spectra = np.ascontiguousarray(on_waves, precision)
 
     def product(self, field: Floats) -> Floats:
         """Return what a field (..., 3, nu, nv), or a normal one (..., nu, nv), becomes."""
@@ -153,13 +145,13 @@ class _Convolution:
             _mix(self._spectra, *self._odd_u, *self._odd_v, self._correction, waves, out)
         else:
             self._scale(waves, out)
-        lines = (out.reshape(-1, v) @ self._v).reshape(-1, u, self._shape[1])
-        return np.asarray(self._u_back @ lines).reshape(field.shape)
+        back = (out.reshape(-1, v) @ self._v).reshape(-1, u, self._shape[1])
+        return np.asarray(self._u_back @ back).reshape(field.shape)
 
     def on_cells(self, cell: Ints, values: Floats) -> Floats:
         """Return the convolution (..., n) with values (..., n) of some cells, 0 in all others, in
         those cells."""
-        field = np.zeros((*values.shape[:-1], self._shape[0] * self._shape[1]), values.dtype)
+        field = np.zeros((*values.shape[:-1], self._shape[0] * self._shape[1]))
         field[..., cell] = values
         made = self.product(field.reshape(*values.shape[:-1], *self._shape))
         return np.asarray(made.reshape(field.shape)[..., cell])
@@ -256,9 +248,6 @@ def _mix(
             out[b, :, nu:, nv:] = made.reshape(f[b, :, nu:, nv:].shape)
 
 
-SinglesArray: TypeAlias = Any
-"""Array in single precision."""
-
 _HELD = 1e-12
 """Share of a depth that iteration leaves."""
 
@@ -267,11 +256,11 @@ class _Preconditioner(Protocol):
     """Approximate inverse of the compliance over its unit between k patches, restricted to some of
     them."""
 
-    def force(self, rows: Ints, displacement: SinglesArray) -> SinglesArray:
+    def force(self, rows: Ints, displacement: Floats) -> Floats:
         """Return (m, 3, n) forces on some patches that move these by about (m, 3, n)."""
         ...
 
-    def push(self, rows: Ints, depth: SinglesArray) -> SinglesArray:
+    def push(self, rows: Ints, depth: Floats) -> Floats:
         """Return (n,) normal forces on some patches that move these by about (n,) along their
         normals."""
         ...
@@ -290,7 +279,6 @@ class Influence(ABC):
 
     direct: int
     unit: float
-    _touching: Ints
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -312,6 +300,13 @@ class Influence(ABC):
     def normal_displacement(self, push: Floats) -> Floats:
         """Return the (k,) normal displacements under normal forces (k,), mm."""
 
+    def product(self, rows: Ints, force: Floats) -> Floats:
+        """Return the (3, n) displacements over the `unit` of some patches under forces (3, n) on
+        them."""
+        whole = np.zeros((len(self), 3))
+        whole[rows] = force.T
+        return np.ascontiguousarray(self.apply(whole)[rows].T) / self.unit
+
     @abstractmethod
     def block(self, rows: Ints) -> Floats:
         """Return the (n, 3, n, 3) compliance between some patches."""
@@ -321,27 +316,16 @@ class Influence(ABC):
         """Return the (n, m) normal displacements of some patches under unit normal forces on
         others."""
 
-    def select(self, touching: Ints) -> None:
-        """Choose the n patches in contact, between which `product` and `approx_solve` work in
-        single precision."""
-        self._touching = touching
-
-    @abstractmethod
-    def product(self, force: SinglesArray) -> SinglesArray:
-        """Return the (3, n) displacements over the `unit` of the patches in contact under forces
-        (3, n) on them."""
-
-    def approx_solve(self, displacement: SinglesArray) -> SinglesArray:
-        """Return (3, n, m) forces under which the patches in contact move by about (3, n, m) over
-        the `unit`."""
+    def approx_solve(self, rows: Ints, displacement: Floats) -> Floats:
+        """Return (3, n, m) forces on some patches that move these by about (3, n, m) over the
+        `unit`."""
         columns = displacement.transpose(2, 0, 1)
-        return self._preconditioner.force(self._touching, columns).transpose(1, 2, 0)
+        return self._preconditioner.force(rows, columns).transpose(1, 2, 0)
 
     def approx_push(self, rows: Ints, depth: Floats) -> Floats:
         """Return (n,) normal forces on the patches ``rows`` (n,) that move them by about ``depth``
         (n,), mm."""
-        single: SinglesArray = (depth / self.unit).astype(np.float32)
-        return np.asarray(self._preconditioner.push(rows, single), float)
+        return self._preconditioner.push(rows, depth / self.unit)
 
     def normal_system(self, rows: Ints, motion: Floats, pull: Floats) -> SaddlePoint:
         """Return the system of the normal forces on some patches, lengths over the `unit`."""
@@ -378,16 +362,16 @@ class _LatticeInverse:
 
     @cached_property
     def _whole(self) -> _Convolution:
-        return _Convolution(self._inverse, np.float32)
+        return _Convolution(self._inverse)
 
     @cached_property
     def _normal(self) -> _Convolution:
-        return _Convolution(self._inverse[_ZZ:], np.float32)
+        return _Convolution(self._inverse[_ZZ:])
 
-    def force(self, rows: Ints, displacement: SinglesArray) -> SinglesArray:
+    def force(self, rows: Ints, displacement: Floats) -> Floats:
         return self._whole.on_cells(self._cell[rows], displacement)
 
-    def push(self, rows: Ints, depth: SinglesArray) -> SinglesArray:
+    def push(self, rows: Ints, depth: Floats) -> Floats:
         return self._normal.on_cells(self._cell[rows], depth)
 
 
@@ -474,23 +458,22 @@ class LatticeInfluence(Influence):
         return u, v
 
     @cached_property
-    def _double(self) -> _Convolution:
-        return _Convolution(_spectra_of(self._kernel), np.float64, self._correction, self._sides)
-
-    @cached_property
-    def _single(self) -> _Convolution:
-        return _Convolution(_spectra_of(self._kernel), np.float32, self._correction, self._sides)
+    def _whole(self) -> _Convolution:
+        return _Convolution(_spectra_of(self._kernel), self._correction, self._sides)
 
     @cached_property
     def _normal(self) -> _Convolution:
         correction = None if self._correction is None else self._normal_correction
-        return _Convolution(_spectra_of(self._kernel, (_ZZ,)), np.float64, correction, self._sides)
+        return _Convolution(_spectra_of(self._kernel, (_ZZ,)), correction, self._sides)
 
     def apply(self, force: Floats) -> Floats:
-        return self._double.on_cells(self._cell, force.T).T
+        return self._whole.on_cells(self._cell, force.T).T
 
     def normal_displacement(self, push: Floats) -> Floats:
         return self._normal.on_cells(self._cell, push)
+
+    def product(self, rows: Ints, force: Floats) -> Floats:
+        return self._whole.on_cells(self._cell[rows], force) / self.unit
 
     def block(self, rows: Ints) -> Floats:
         n = len(rows)
@@ -520,10 +503,6 @@ class LatticeInfluence(Influence):
         if self._correction is not None:
             part = part + self._weights[rows] @ self._normal_correction @ self._weights[columns].T
         return np.asarray(part)
-
-    def product(self, force: SinglesArray) -> SinglesArray:
-        moved = self._single.on_cells(self._cell[self._touching], force)
-        return moved * np.float32(1.0 / self.unit)
 
     def _offsets(self, rows: Ints, columns: Ints) -> Ints:
         """Return (n, m) where the signed offsets between patches are in the flattened
@@ -608,41 +587,41 @@ class _BlockInverse:
         self._unit = unit
 
     @cached_property
-    def _normal(self) -> SinglesArray | None:
+    def _normal(self) -> Floats | None:
         return self._factor(self._compliance[:, -1, :, -1])
 
     @cached_property
-    def _tangential(self) -> SinglesArray | None:
+    def _tangential(self) -> Floats | None:
         k = len(self._compliance)
         return self._factor(
             self._compliance[:, :2, :, :2].transpose(1, 0, 3, 2).reshape(2 * k, 2 * k)
         )
 
-    def _factor(self, block: Floats) -> SinglesArray | None:
-        factor, wrong = lapack.spotrf((block / self._unit).astype(np.float32), lower=1, clean=0)
+    def _factor(self, block: Floats) -> Floats | None:
+        factor, wrong = lapack.dpotrf(block / self._unit, lower=1, clean=0)
         return None if wrong else factor
 
-    def force(self, rows: Ints, displacement: SinglesArray) -> SinglesArray:
+    def force(self, rows: Ints, displacement: Floats) -> Floats:
         m = len(displacement)
-        whole: SinglesArray = np.zeros((m, 3, len(self._compliance)), np.float32)
+        whole = np.zeros((m, 3, len(self._compliance)))
         whole[..., rows] = displacement
         tangential = _factored_solve(self._tangential, whole[:, :2].reshape(m, -1))
         tangential = tangential.reshape(m, 2, -1)
         normal = _factored_solve(self._normal, whole[:, 2])
         return np.concatenate([tangential, normal[:, None]], axis=1)[..., rows]
 
-    def push(self, rows: Ints, depth: SinglesArray) -> SinglesArray:
-        whole: SinglesArray = np.zeros((1, len(self._compliance)), np.float32)
+    def push(self, rows: Ints, depth: Floats) -> Floats:
+        whole = np.zeros((1, len(self._compliance)))
         whole[0, rows] = depth
-        return _factored_solve(self._normal, whole)[0, rows]
+        return np.asarray(_factored_solve(self._normal, whole)[0, rows])
 
 
-def _factored_solve(factor: SinglesArray | None, right: SinglesArray) -> SinglesArray:
+def _factored_solve(factor: Floats | None, right: Floats) -> Floats:
     """Return the solutions (m, n) for right-hand sides (m, n); NaN for a matrix that is not
     definite."""
     if factor is None:
         return np.full_like(right, np.nan)
-    return lapack.spotrs(factor, right.T, lower=1)[0].T
+    return np.asarray(lapack.dpotrs(factor, right.T, lower=1)[0].T)
 
 
 class _JoinedInverse:
@@ -652,14 +631,14 @@ class _JoinedInverse:
         self._parts = parts
         self._ends = ends
 
-    def force(self, rows: Ints, displacement: SinglesArray) -> SinglesArray:
+    def force(self, rows: Ints, displacement: Floats) -> Floats:
         pieces = [
             one.force(rows[piece] - first, np.ascontiguousarray(displacement[..., piece]))
             for one, first, piece in self._pieces(rows)
         ]
         return np.concatenate(pieces, axis=-1)
 
-    def push(self, rows: Ints, depth: SinglesArray) -> SinglesArray:
+    def push(self, rows: Ints, depth: Floats) -> Floats:
         pushes = [
             one.push(rows[piece] - first, depth[piece]) for one, first, piece in self._pieces(rows)
         ]
@@ -754,15 +733,3 @@ class DenseInfluence(Influence):
 
     def normal_block(self, rows: Ints, columns: Ints) -> Floats:
         return np.asarray(self._normal[np.ix_(rows, columns)])
-
-    @cached_property
-    def _single(self) -> SinglesArray:
-        """(3 k, 3 k) the matrix over the unit."""
-        size = 3 * len(self)
-        return (self._matrix.reshape(size, size).T / self.unit).astype(np.float32)
-
-    def product(self, force: SinglesArray) -> SinglesArray:
-        whole: SinglesArray = np.zeros((len(self), 3), np.float32)
-        whole[self._touching] = force.T
-        moved: SinglesArray = blas.ssymv(1.0, self._single, whole.reshape(-1))
-        return np.ascontiguousarray(moved.reshape(-1, 3)[self._touching].T)

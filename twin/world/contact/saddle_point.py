@@ -26,7 +26,7 @@ DIRECT = 150
 """Unknowns up to which elimination takes less time than GMRES's calls, where a product is cheap."""
 
 _SINGULAR = 1e6
-"""Condition number of the probe's own equations above which single precision can't be trusted."""
+"""Condition number of the probe's own equations from which on elimination solves them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,30 +53,29 @@ class SaddlePoint:
         out of reach."""
         n = len(right)
         m = len(balance)
-        precision = self.motion.dtype
         wanted = np.concatenate([right, balance])
         largest = float(np.abs(wanted).max(initial=0.0))
         if largest == 0.0:
             return np.zeros(n), np.zeros(m)
         # Schur complement of the approximate C: the motions' own equations.
         under_motion = self.approx_solve(self.motion) if m else self.motion
-        schur = (self.pull @ under_motion).astype(float)
+        schur = self.pull @ under_motion
         if not np.isfinite(schur).all() or (m and np.linalg.cond(schur) > _SINGULAR):
             return None
-        inverse = np.linalg.inv(schur).astype(precision)
+        inverse = np.linalg.inv(schur)
 
         def preconditioned(y: Floats) -> Floats:
             x = self.approx_solve(y[:n, None])[:, 0]
             q = inverse @ (self.pull @ x - y[n:])
-            return np.concatenate([x - under_motion @ q, q]).astype(precision)
+            return np.concatenate([x - under_motion @ q, q])
 
         def equations(y: Floats) -> Floats:
             return np.concatenate([self.product(y[:n]) + self.motion @ y[n:], self.pull @ y[:n]])
 
-        found = _gmres(equations, preconditioned, (wanted / largest).astype(precision), share)
+        found = _gmres(equations, preconditioned, wanted / largest, share)
         if found is None:
             return None
-        solution = found.astype(float) * largest
+        solution = found * largest
         return solution[:n], solution[n:]
 
     @staticmethod
@@ -122,8 +121,8 @@ def _gmres(
     rotations and inner products is as long as that of a product here.
     """
     size = len(right)
-    basis = np.empty((MOST_PRODUCTS + 1, size), right.dtype)
-    directions = np.empty((MOST_PRODUCTS, size), right.dtype)
+    basis = np.empty((MOST_PRODUCTS + 1, size))
+    directions = np.empty((MOST_PRODUCTS, size))
     triangle = np.zeros((MOST_PRODUCTS, MOST_PRODUCTS))
     rotations = np.zeros((MOST_PRODUCTS, 2))
     goal = np.zeros(MOST_PRODUCTS + 1)
@@ -138,7 +137,7 @@ def _gmres(
             return None
         if abs(goal[done]) <= share * length:
             weights = np.linalg.solve(triangle[:done, :done], goal[:done])
-            return np.asarray(weights.astype(right.dtype) @ directions[:done])
+            return np.asarray(weights @ directions[:done])
         if norm == 0.0:
             return None
         basis[done] /= norm
@@ -158,13 +157,13 @@ def _arnoldi_step(
     image = basis[done]
     for _ in range(2):  # modified Gram-Schmidt, the second time against round-off
         for i in range(done):
-            part = basis.dtype.type(0.0)
+            part = 0.0
             for j in range(len(image)):
                 part += basis[i, j] * image[j]
             for j in range(len(image)):
                 image[j] -= part * basis[i, j]
             column[i] += part
-    squared = basis.dtype.type(0.0)
+    squared = 0.0
     for j in range(len(image)):
         squared += image[j] * image[j]
     norm = math.sqrt(squared)
