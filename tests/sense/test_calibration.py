@@ -124,19 +124,14 @@ def presses(seed=1):
 
 
 def test_presses_give_back_the_transfer_matrix():
-    """Also where a marker was lost in one of two presses; where it was lost in the only one it is not known."""
+    """A marker that was lost in one press of a site is not known there."""
     forces, shifts, transfer = presses()
     assert from_presses(forces, shifts) == pytest.approx(transfer, abs=1e-10)
-    site, both = np.r_[np.arange(25), np.arange(25)], np.concatenate([forces, forces])
-    noisy = np.concatenate([shifts, shifts]) + np.random.default_rng(2).normal(0, 0.02, (50, 3, 122))
-    once, twice = from_presses(forces, noisy[:25]), from_presses(both, noisy, site)
-    assert np.std(twice - transfer) == pytest.approx(np.std(once - transfer) / np.sqrt(2), rel=0.1)
-    lost = shifts.copy()
-    lost[3, 1, 10:12] = np.nan
-    alone = from_presses(forces, lost)
+    shifts[3, 1, 10:12] = np.nan
+    alone = from_presses(forces, shifts)
     assert np.isnan(alone[10:12, 9:12]).all()
-    assert np.delete(alone, [10, 11], axis=0) == pytest.approx(np.delete(transfer, [10, 11], axis=0), abs=1e-10)
-    assert from_presses(both, np.concatenate([lost, shifts]), site) == pytest.approx(transfer, abs=1e-10)
+    assert np.isnan(alone).sum() == 6
+    assert alone[np.isfinite(alone)] == pytest.approx(transfer[np.isfinite(alone)], abs=1e-10)
 
 
 def test_presses_must_span_three_directions():

@@ -50,9 +50,8 @@ def from_compliance(compliance: Floats, jacobian: Floats) -> Floats:
     )
 
 
-def from_presses(forces_n: Floats, shifts_px: Floats, site: np.ndarray | None = None) -> Floats:
-    """Return the transfer matrix from measured presses: h_n = u_n f_n^-1 by least squares (finger
-    paper, eqs. 3-5).
+def from_presses(forces_n: Floats, shifts_px: Floats) -> Floats:
+    """Return the transfer matrix from measured presses, h_n = u_n f_n^-1 (finger paper, eqs. 3-5).
 
     The measured forces are used as they are: a press along x or y follows one along z and still
     carries it.
@@ -60,73 +59,47 @@ def from_presses(forces_n: Floats, shifts_px: Floats, site: np.ndarray | None = 
     Parameters
     ----------
     forces_n
-        (p, 3, 3) f_n of every calibrated place: ``[:, m, n]`` is the force along m under the n-th
-        press, N (eq. 3).
+        (k, 3, 3) f_n of every site: ``[:, m, n]`` is the force along m under the n-th press, N (eq.
+        3).
     shifts_px
-        (p, 3, 2N) movement of the markers under the n-th press, px; NaN where a marker was lost.
-    site
-        (p,) which site each triple was taken at, so that a site may have several; by default triple
-        p is site p.
+        (k, 3, 2N) movement of the markers under the n-th press, px; NaN where a marker was lost.
 
     Returns
     -------
-    (2N, 3k) px/N, NaN for a marker that too few presses at some site saw.
+    (2N, 3k) px/N, NaN for a marker at a site where it was lost.
 
     Raises
     ------
     InputError
-        The presses of a site don't span three directions, or a site has none.
+        The presses of a site don't span three directions, or there are none.
     """
     forces, shifts = np.asarray(forces_n, float), np.asarray(shifts_px, float)
-    triples = len(forces)
+    sites = len(forces)
     if (
-        forces.shape != (triples, 3, 3)
+        forces.shape != (sites, 3, 3)
         or shifts.ndim != 3
-        or shifts.shape[:2] != (triples, 3)
+        or shifts.shape[:2] != (sites, 3)
         or shifts.shape[2] % 2
     ):
         raise InputError(
-            f"forces must be (p, 3, 3) and shifts (p, 3, 2N), got {forces.shape} and {shifts.shape}"
+            f"forces must be (k, 3, 3) and shifts (k, 3, 2N), got {forces.shape} and {shifts.shape}"
         )
     if not np.isfinite(forces).all():
         raise InputError("the measured forces of calibration presses must be finite, N")
-    where = np.arange(triples) if site is None else np.asarray(site, int)
-    columns = []
-    for number in range(int(where.max()) + 1 if triples else 0):
-        mine = where == number
-        if not mine.any():
-            raise InputError(
-                f"site {number} has no calibration press: press every site in three directions"
-            )
-        presses = forces[mine].transpose(0, 2, 1).reshape(-1, 3)
-        columns.append(_site_columns(presses, shifts[mine].reshape(len(presses), -1), number))
-    if not columns:
+    if not sites:
         raise InputError("there are no calibration presses")
-    return np.concatenate(columns, axis=1)
-
-
-def _site_columns(presses: Floats, shifts: Floats, number: int) -> Floats:
-    """Return (2N, 3) from (q, 3) forces and (q, 2N) shifts; a marker counts only the presses that
-    saw it."""
-    length = np.linalg.norm(presses, axis=1, keepdims=True)
-    spread = np.linalg.cond(presses / length) if np.all(length > 0) else np.inf
-    if spread > LARGEST_CONDITION:
+    length = np.linalg.norm(forces, axis=1, keepdims=True)
+    spread = np.linalg.cond(forces / np.where(length > 0.0, length, 1.0))
+    if (worst := float(spread.max())) > LARGEST_CONDITION:
         raise InputError(
-            f"site {number}: the measured forces of its presses have condition number "
-            f"{spread:.3g} (allowed up to "
-            f"{LARGEST_CONDITION:.0f}): press along z, then also along x and along y"
+            f"site {int(spread.argmax())}: the measured forces of its presses have condition "
+            f"number {worst:.3g} (allowed up to {LARGEST_CONDITION:.0f}): press along z, then also "
+            "along x and along y"
         )
-    seen = np.isfinite(shifts.reshape(len(presses), -1, 2)).all(axis=2).repeat(2, axis=1)
-    columns = np.full((shifts.shape[1], 3), np.nan)
-    patterns, which = np.unique(seen.T, axis=0, return_inverse=True)
-    for index, pattern in enumerate(patterns):
-        if pattern.sum() < 3 or np.linalg.cond((presses / length)[pattern]) > LARGEST_CONDITION:
-            continue
-        mine = which.ravel() == index
-        columns[mine] = np.linalg.lstsq(
-            presses[pattern], shifts[np.ix_(pattern, mine)], rcond=None
-        )[0].T
-    return columns
+    seen = np.isfinite(shifts.reshape(sites, 3, -1, 2)).all(axis=(1, 3)).repeat(2, axis=1)
+    columns = np.linalg.solve(forces.transpose(0, 2, 1), np.nan_to_num(shifts))
+    columns = np.where(seen[:, None], columns, np.nan)
+    return np.asarray(columns.transpose(2, 0, 1).reshape(shifts.shape[2], -1))
 
 
 def fill_between(
