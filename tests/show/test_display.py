@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 import twin
 from twin.results import Estimate, RunResult, Truth
 from twin.show.explain import LIMITS, explain
+from twin.show.figure_panels import Panel
 
 
 def run_result(*, forces: bool = True) -> RunResult:
@@ -96,6 +97,8 @@ def test_a_run_is_drawn_in_three_panels_of_one_scale() -> None:
     scales = [panel.collections[0].get_clim() for panel in (recovered, true)]
     assert scales == [(-2.0, 2.0), (-2.0, 2.0)]
     assert recovered.get_title() == "recovered forces"
+    page = Panel.svg([Panel.field("least norm", run_result().estimate, 1.0)])
+    assert page.count(b">least norm<") == 1, "titles lay over one another"
     assert len(run_result(forces=False).plot()) == 2
     with pytest.raises(twin.TwinError, match="neither marker motion nor forces"):
         RunResult(scene_toml="").plot()

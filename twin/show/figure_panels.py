@@ -127,6 +127,7 @@ class Panel:
             for number, panel in enumerate(panels, start=1):
                 axes = figure.add_subplot(rows, columns, number)
                 panel.draw(axes)
+                axes.set_title("")  # of drawings that have one of their own
                 axes.set_title("\n".join(textwrap.wrap(panel.title, 56)), loc="left")
                 if axes.get_legend_handles_labels()[1]:
                     axes.legend()
