@@ -69,17 +69,13 @@ _ALIKE = 1.3
 """Order of that law, and the least ratio of widths that counts."""
 
 _CUT = 0.26
-"""Error of a smooth probe's force at a given depth, times the square of the patches across.
-Measured against 40 patches across: 0.0004 to 0.00105 at 16."""
+"""Error of a smooth probe's force at a given depth, times the square of the patches across, on
+thick rubber. Measured at 8 to 24 across against 36 to 40 under balls: it
+would be 0.34, 0.47 and 0.82 at radii up to 0.3, 1 and more of the thickness."""
 
 _WHOLE = 0.75
 """Error of the force sideways where patches stick as a whole, over what their area is too large by:
 about half on a half-space, where it grows with the radius, and all on a thin layer."""
-
-_CUT_THIN = 1.0
-"""How many times that is added where the contact's radius is the body's thickness or more; below,
-with its cube. Measured at 8 to 24 across against 36 to 40 under balls: `_CUT` would be 0.26 on
-thick rubber, 0.34, 0.47 and 0.82 at radii up to 0.3, 1 and more of the thickness."""
 
 _UNLOADED, _UNFITTED = 0.9, 0.75
 """Patches across a contact over those of its grid, below which it counts as unloaded; and how many
@@ -112,8 +108,8 @@ disc as wide as the contact fills; with the power 1.5 of the border's length ove
 what of it sharp borders lack."""
 
 _CUT_FREE_THIN = 2.0
-"""As `_CUT_THIN`, of an object's smooth borders: 46 presses on rubber of 1 to 3 mm state 1.3 times
-or more what finer patches show."""
+"""How many times `thin` that grows: 46 presses on 1 to 3 mm state 1.3 times or more of what
+finer patches show."""
 
 _CUT_RIM = 0.2
 """The same under a flat face so inclined that it touches with its rim, times the patches across.
@@ -360,12 +356,11 @@ class Estimates:
         contacts, which may change nothing by chance."""
         smooth = any(isinstance(setup.probe, Sphere | Cone) for setup in self._job.setups)
         across = self._job.setups[0].across
+        borders = self._borders(state, step)
         error = 0.0
         if smooth:
-            height = self._job.setups[0].body.base_z_mm
-            wide = max(one.contact_radius_mm for one in (state, *state.also)) / height
             fewest = min(map(self._across, self._job.setups, (state, *state.also)))
-            error = _CUT * (1.0 + _CUT_THIN * min(1.0, wide) ** 3) / fewest**2
+            error = _CUT * (1.0 + max(one.thin for one in borders)) / fewest**2
         for setup in self._job.setups:
             if setup.has_inclined_face:
                 incline = math.acos(min(1.0, float(setup.first.tilt[2, 2])))
@@ -375,7 +370,6 @@ class Estimates:
                 if setup.face is not None:
                     rim = _WALLS * math.tan(incline) ** 2
                 error = max(error, rim)
-        borders = self._borders(state, step)
         edge = rounded = 0.0
         for one in borders:
             face = one.setup.face
@@ -411,12 +405,10 @@ class Estimates:
     def _across(self, setup: ProbeSetup, state: ContactState) -> float:
         """Return the patches across a contact. With friction one grid serves the whole path: under
         a smooth probe that has been unloaded they are fewer, and fit the border less well."""
-        across = setup.across
-        smooth = isinstance(setup.probe, Sphere | Cone)
+        smooth = self._job.friction.any() and isinstance(setup.probe, Sphere | Cone)
         fewer = math.sqrt(4.0 * len(state.pressure_mpa) / math.pi)
-        if not (self._job.friction.any() and smooth and 0.0 < fewer < _UNLOADED * across):
-            return across
-        return _UNFITTED * fewer
+        unloaded = smooth and 0.0 < fewer < _UNLOADED * setup.across
+        return _UNFITTED * fewer if unloaded else setup.across
 
     def _forced(self, step: int) -> int | None:
         """Return the last step up to this one whose depth a force gave."""
@@ -649,6 +641,11 @@ class _Border:
         return len(self.state.pressure_mpa) > 0
 
     @property
+    def thin(self) -> float:
+        """The cube of its radius over the body's thickness, at most 1."""
+        return min(1.0, self.state.contact_radius_mm / self.setup.body.base_z_mm) ** 3
+
+    @property
     def is_rounded(self) -> bool:
         """Whether it lies on the rounded rim of a flat face."""
         return self.setup.face is not None and self.setup.face.edge_mm > 0.0
@@ -663,7 +660,7 @@ class _Border:
         """The least half width of the patches in contact under a flat face."""
         load = self.load
         away = load.centre_mm - load.centre_mm.mean(axis=0)
-        aside = np.abs(np.einsum("kij,kj->ki", load.frames[:, :2], away))
+        aside = np.abs((load.frames[:, :2] @ away[..., None])[..., 0])
         return float((aside + load.half_mm).max(axis=0).min())
 
     @cached_property
@@ -750,14 +747,20 @@ class _Border:
 
     @property
     def force_error(self) -> float:
-        """The error of the force as patches cut an object's border: the longer the narrower the
-        contact is, and more where they miss sharp edges."""
-        if not (self.setup.is_free_form and self.touches):
+        """The error of the force as patches cut a border within an upright flat face, or an
+        object's, the more the longer it is and where they miss sharp edges."""
+        setup, face = self.setup, self.setup.face
+        within = False
+        if face and not (setup.body.is_flat or setup.has_inclined_face):
+            whole = math.prod(face.half_mm) * (math.pi if face.is_round else 4.0)
+            within = self.state.area_mm2 < 0.99 * whole
+        if not (self.touches and (within or setup.is_free_form)):
             return 0.0
-        cut = _CUT_FREE * (1.0 - _OF_SMOOTH * self.ends_sharply**2)
-        wide = self.state.contact_radius_mm / self.setup.body.base_z_mm
-        cut *= self.longer**1.5 * math.pi / len(self.state.pressure_mpa)
-        return float(cut * (1.0 + _CUT_FREE_THIN * min(1.0, wide) ** 3) + self._astray)
+        cut = _CUT_FREE * (1.0 + _CUT_FREE_THIN * self.thin) * math.pi / len(self.load)
+        if within:
+            return cut
+        cut *= 1.0 - _OF_SMOOTH * self.ends_sharply**2
+        return cut * float(self.longer**1.5) + self._astray
 
     @property
     def traction_error(self) -> float:
