@@ -33,7 +33,7 @@ from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
 from twin.world.contact.friction_law import LAW, FrictionLaw
 from twin.world.contact.influence import Influence
-from twin.world.contact.saddle_point import DIRECT, SaddlePoint
+from twin.world.contact.saddle_point import SaddlePoint
 
 GapOfPlace = Callable[[Floats], tuple[Floats, Floats]]
 TOLERANCE = 1e-8
@@ -242,11 +242,11 @@ def _iterated(
     """Return forces and place as `_linear_solve`, by GMRES from a guess, of whose residual a
     ``share`` is left.
 
-    ``sunk`` (k,) are the normal displacements under the guess's forces. None where patches are few
-    or stick, and where the goal is out of reach.
+    ``sunk`` (k,) are the normal displacements under the guess's forces. None where patches stick,
+    and where the goal is out of reach.
     """
     touching = np.flatnonzero(active)
-    if len(touching) <= DIRECT or np.any(active & problem.sticking):
+    if np.any(active & problem.sticking):
         return None
     influence = problem.influence
     unit = influence.unit

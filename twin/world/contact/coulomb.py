@@ -20,9 +20,9 @@ The unknowns x and the probe's motion q then satisfy
 
     C (jump + x) + M q = right,    B^T x = balance,
 
-C being the compliance, with (1 - c) / r added where a patch slips. GMRES solves all but the
-smallest systems (`twin.world.contact.saddle_point`); it works on the change of the trial, so that a
-thousandth is good enough.
+C being the compliance, with (1 - c) / r added where a patch slips. GMRES solves them
+(`twin.world.contact.saddle_point`); it works on the change of the trial, so that a thousandth is
+good enough.
 
 Validity: one increment's slip; `twin.world.contact.load_step` takes paths in increments. With a
 large coefficient, or strong coupling of normal and tangential motion, there may be no solution, or
@@ -203,10 +203,9 @@ class _NewtonSystem:
         a ``share`` of these may be left. Raises numpy.linalg.LinAlgError where singular."""
         if self.jump.any():
             right = right - self.restrict(influence.apply(self.jump)[self.status.touching].T)
-        if self.status.size > influence.direct:
-            found = self._iterate(influence, right, balance, share)
-            if found is not None:
-                return found
+        found = self._iterate(influence, right, balance, share)
+        if found is not None:
+            return found
         return SaddlePoint.eliminate(
             self._matrix(influence), self.motion, self.pull, right, balance
         )

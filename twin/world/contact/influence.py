@@ -35,7 +35,7 @@ from twin.arrays import Floats, Ints, Points, frozen
 from twin.compiled import njit
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
-from twin.world.contact.saddle_point import DIRECT, SaddlePoint
+from twin.world.contact.saddle_point import SaddlePoint
 from twin.world.contact.surface_patches import Patches
 from twin.world.elasticity.tensor_basis import SIZES, Axis
 
@@ -271,13 +271,10 @@ class Influence(ABC):
 
     Attributes
     ----------
-    direct
-        Unknowns of a Newton step up to which elimination is faster than GMRES with this storage.
     unit
         The mean compliance of a patch to a force on itself, mm/N.
     """
 
-    direct: int
     unit: float
 
     @abstractmethod
@@ -344,11 +341,10 @@ class Influence(ABC):
         """Return (n,) the normal forces on some patches that move these by ``depth`` (n,), mm,
         along their normals."""
         n = len(rows)
-        if n > DIRECT:
-            system = self.normal_system(rows, np.zeros((n, 0)), np.zeros((0, n)))
-            found = system.solve(depth / self.unit, np.zeros(0), _HELD)
-            if found is not None:
-                return found[0]
+        system = self.normal_system(rows, np.zeros((n, 0)), np.zeros((0, n)))
+        found = system.solve(depth / self.unit, np.zeros(0), _HELD)
+        if found is not None:
+            return found[0]
         return np.asarray(np.linalg.solve(self.normal_block(rows, rows), depth))
 
 
@@ -393,7 +389,6 @@ class LatticeInfluence(Influence):
     def __init__(
         self, place: Ints, kernel: Floats, inverse: Floats, correction: Floats | None
     ) -> None:
-        self.direct = DIRECT
         self._inverse = inverse
         self._place = place
         self._kernel = kernel
@@ -688,8 +683,6 @@ class DenseInfluence(Influence):
     ) -> None:
         k = len(matrix)
         self._matrix = matrix
-        # Blocks are read off the matrix, and products cost more than by waves.
-        self.direct = 2 * DIRECT
         self._of = grids, poisson_ratio
         self.unit = float(np.einsum("iaia->", matrix)) / (k * matrix.shape[1])
 

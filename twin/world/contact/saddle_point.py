@@ -4,8 +4,7 @@ rigid probe.
 They are solved by GMRES with a constraint preconditioner: C is replaced by an approximate inverse,
 and the few rows and columns of the probe's balance are kept exactly, so that the balance holds to
 round-off at every iteration (C. Keller, N. I. M. Gould and A. J. Wathen, SIAM J. Matrix Anal. Appl.
-21 (2000) 1300). Systems with few unknowns, and those that GMRES does not solve, are solved by
-elimination.
+21 (2000) 1300). Systems that GMRES does not solve are solved by elimination.
 """
 
 from __future__ import annotations
@@ -21,9 +20,6 @@ from twin.compiled import njit
 
 MOST_PRODUCTS = 60
 """Products with C until GMRES gives up."""
-
-DIRECT = 150
-"""Unknowns up to which elimination takes less time than GMRES's calls, where a product is cheap."""
 
 _SINGULAR = 1e6
 """Condition number of the probe's own equations from which on elimination solves them."""
