@@ -127,15 +127,17 @@ def test_stated_error_holds_wherever_in_an_element_the_contact_ends(force):
 
 
 @pytest.mark.parametrize(
-    ("probe", "force", "thick", "nu", "law", "most"),
+    ("probe", "force", "thick", "nu", "law"),
     [
-        (Cylinder(diameter_mm=4.027, edge_mm=0.4027), 2.3655, 3.0, 0.49, {"law": "neo_hookean"}, 2e-4),
-        (Sphere(diameter_mm=10.82), 12.04, 8.0, 0.5, {"law": "yeoh", "law_ratios": (0.637, 1.062)}, 8e-4),
+        (Cylinder(diameter_mm=4.027, edge_mm=0.4027), 2.3655, 3.0, 0.49, {"law": "neo_hookean"}),
+        (Sphere(diameter_mm=10.82), 12.04, 8.0, 0.5, {"law": "yeoh", "law_ratios": (0.637, 1.062)}),
+        (Cone(diameter_mm=8, apex_deg=125, tip_mm=0.6), 1.7, 8.0, 0.47, {"law": "mooney_rivlin", "law_ratios": (0.4,)}),
     ],
-    ids=["cylinder on thin rubber", "stiffening rubber"],
+    ids=["cylinder on thin rubber", "stiffening rubber", "cone"],
 )
-def test_stated_error_covers_what_a_finer_mesh_changes(probe, force, thick, nu, law, most, monkeypatch):
-    """Both were found with NGSolve: 0.03 % was stated, 0.05 (now 0.004) and 0.06 % left."""
+def test_stated_error_is_one_to_four_times_what_a_much_finer_mesh_changes(probe, force, thick, nu, law, monkeypatch):
+    """By a coarser mesh 0.03 % was stated where NGSolve found 0.05 and 0.06 % in the first two, and up to nine times
+    what was left under cones."""
     sensor = made("linear", **{"body.thickness_mm": thick, "material.poisson_ratio": nu})
     press = twin.Press(probe=probe, force_n=(0, 0, force))
     state, body = sensor.press(press), sensor.nominal.body
@@ -145,12 +147,11 @@ def test_stated_error_covers_what_a_finer_mesh_changes(probe, force, thick, nu, 
     more = round_slab.SlabStrain(press, body, rubber, state, places)
     stated, field = more.error.markers, more.displacement(places)
     graded = round_slab.Slab.Grid.graded
-    finer = staticmethod(lambda *given: graded(*given[:3], 1.5 * given[3], *given[4:]))
+    finer = staticmethod(lambda *given: graded(*given[:3], 2.0 * given[3], *given[4:]))
     monkeypatch.setattr(round_slab.Slab.Grid, "graded", finer)
     other = round_slab.SlabStrain(press, body, rubber, state, places)
     left = largest(other.displacement(places) - field) / largest(sensor.displacement(places, state))
-    assert left < min(stated, most)
-    assert stated < 1e-3
+    assert left < stated < min(4.0 * left, 1e-3)
 
 
 def test_sharp_rim_is_the_limit_of_sharper_and_sharper_ones():
@@ -184,18 +185,18 @@ def test_load_steps_end_where_one_step_does(monkeypatch):
     settle = round_slab.SlabStrain.settled
     left = [1]
 
-    def failing(self, slab, touch, state, force, *, linear):
+    def failing(self, slab, touch, state, force, *, linear, **to):
         if not linear and left:
             left.pop()
             raise NotSettled("contact: the first attempt")
-        return settle(self, slab, touch, state, force, linear=linear)
+        return settle(self, slab, touch, state, force, linear=linear, **to)
 
     monkeypatch.setattr(round_slab.SlabStrain, "settled", failing)
     steps = made().press(press).load.strained
     assert not left
     assert steps.displacement(PLACES) == pytest.approx(field, abs=1e-3 * largest(field))
-    left.extend(range(9))  # a coarser mesh fails altogether: asking for the error raised
-    assert 0.5 * steps.linear_error < steps.error.markers < steps.linear_error
+    left.extend(range(9))  # another mesh fails altogether: asking for the error raised
+    assert steps.linear_error < steps.error.markers < 2.0 * steps.linear_error
 
 
 @pytest.mark.slow

@@ -81,8 +81,7 @@ def rubber_of(kind, material):
     if kind == "body":
         rubber = Rubber(body_mesh(BODY, "sketch"), BODY, material)
         return rubber, rubber.mesh.points
-    lines = [np.interp(np.arange(2 * len(x) - 1) / 2, np.arange(len(x)), x) for x in (GRID.r_mm, GRID.z_mm)]
-    return Slab(GRID, material), np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    return Slab(GRID, material), GRID.places
 
 
 def put(rubber, moved, pressure=0.0):

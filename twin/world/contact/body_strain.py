@@ -202,7 +202,7 @@ class BodyStrain(FiniteStrain):
         found = replace(found, markers=markers)
         if not self._rubs:
             return found
-        held, other = self._held(self._pair), self._held(self._coarser)
+        held, other = self._held(self._pair), self._held(self._other)
         force = max(_GUIDED * self._held_share(held), self._held_share(other - held))
         stuck = (1.0 - self._state.slip_share) * _STUCK_OVER_CUBE * self.linear_error**3
         deeper = abs(self.indentation_mm) / self._state.indentation_mm
@@ -252,13 +252,13 @@ class BodyStrain(FiniteStrain):
         """Return whether a longer path has the same mesh, so that it goes on from here."""
         return len(_touched(path)) == len(self._contacts[0][1])
 
-    def _solved(self, coarser: bool) -> _Pair:
+    def _solved(self, other: bool) -> _Pair:
         """Return both solutions on a mesh; where a press is nearly equal, on its own."""
-        fineness = _COARSE if coarser else self._first
+        fineness = _COARSE if other else self._first
         before = {} if self._like is None else vars(self._like)
-        like = before.get("_coarser" if coarser else "_pair") if self._rubs or not coarser else None
+        like = before.get("_other" if other else "_pair") if self._rubs or not other else None
         contacts = self._contacts
-        if coarser:
+        if other:
             pairs = zip(self._rounder, contacts, strict=True)
             contacts = [(approach, near) for approach, (_, near) in pairs]
 

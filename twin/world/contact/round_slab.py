@@ -86,23 +86,22 @@ _BEYOND = 0.05, 0.4
 """Least number of borders of elements from which the contact's end is extrapolated; the least and
 largest share of the force beyond them."""
 
-_COARSER = 0.7
+_COARSER, _FINER = 0.7, 1.4
 _UNDER_RIM = 1.5
-_ERROR_OVER_CHANGE = 0.5
-_CONE_OVER_CHANGE = 1.0
-_RIM_OVER_CHANGE = 0.7, 1.5
-_LEAST_ERROR = 1e-4
-_LEAST_SHARE = 0.004
-"""How many times as many elements the mesh has that estimates the error, and one under a cylinder,
-where both may otherwise miss the same 0.05 %; error over the change to the coarser mesh, under
-spheres, under cones, whose tip ends inside an element, and under cylinders whose rim is solved as
-it is or rounder; and what is added, as the change may be small by chance: so much, and a share of
-what linear theory leaves out, for rubber that stiffens: docs/validity.md."""
+_ERROR_OVER_CHANGE = 1.5
+_LEAST_ERROR = 1e-5
+_LEAST_SHARES = Share(indentation=0.004, markers=0.001)
+"""How many times as many elements the mesh has that solves for the size alone, or shows what a
+rounder rim costs, and the one that estimates the error otherwise; and one under a cylinder, where
+meshes may otherwise miss the same 0.05 %; error over the change to that mesh; and what is added: so
+much, and shares of what linear theory leaves out, for what meshes have in common:
+docs/validity.md."""
 
 _TOLERANCE = 1e-5
+_NEARLY = 1e-4
 _STEPS = 20
-"""Newton's steps end at one that moves nothing by more than this share of the largest displacement;
-their most."""
+"""Newton's steps end at one that moves nothing by more than this share of the largest displacement,
+on the mesh that estimates the error by more than the other; their most."""
 
 LOAD_STEPS = 0.2, 0.04
 """First step of the force where Newton's steps fail from the linear solution, and the least to
@@ -117,6 +116,9 @@ _POINTS = 3
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
 """Integration points on an element's side, -1 to 1."""
 
+_ENTRIES = np.array([0, 2, 4, 6, 8])
+"""Of F in the axes r, about and z those that are not 0: rr, rz, about, zr, zz."""
+
 
 class FiniteStrain:
     """What linear theory leaves out of one state of a press.
@@ -130,7 +132,7 @@ class FiniteStrain:
     watched
         (n, 3) points inside the body for which the error counts, mm.
     over_change, least_error
-        The error over the change to the coarser mesh, and what is added to it.
+        The error over the change to another mesh, and what is added to it.
 
     Attributes
     ----------
@@ -206,23 +208,22 @@ class FiniteStrain:
         return MixedRubber.largest(self._pair.read(self._watched, self._pair.linear_mm)[0])
 
     @cached_property
-    def _coarser(self) -> FiniteStrain.Solutions:
-        """The solutions on a coarser mesh; where these fail, as if it left nothing out."""
+    def _other(self) -> FiniteStrain.Solutions:
+        """The solutions on another mesh; where these fail, as if it left nothing out."""
         try:
             return self._solved(True)
         except ContactError:
             pair = self._pair
             return replace(pair, change=0.0 * pair.change, moved=0.0 * pair.moved)
 
-    def _solved(self, coarser: bool) -> FiniteStrain.Solutions:
-        """Return the solutions on the mesh that counts, or on a coarser one that estimates its
-        error."""
+    def _solved(self, other: bool) -> FiniteStrain.Solutions:
+        """Return the solutions on the mesh that counts, or on the one that estimates its error."""
         raise NotImplementedError
 
     @cached_property
     def error(self) -> Share:
-        """How far this may be off, over the linear displacement: what a coarser mesh changes."""
-        other = self._coarser
+        """How far this may be off, over the linear displacement: what another mesh changes."""
+        other = self._other
         missed = other.read(self._watched, other.change)[0] - self.displacement(self._watched)
         deep = np.array([one.indentation_mm for one in (self._state, *self._state.also)])
         sunk = float(np.max(np.abs((other.moved - self.moved)[:, Z]) / deep))
@@ -251,6 +252,8 @@ class SlabStrain(FiniteStrain):
         Newton's steps don't converge.
     """
 
+    _pair: _Pair
+
     def __init__(
         self,
         press: Press,
@@ -270,30 +273,28 @@ class SlabStrain(FiniteStrain):
         self._coarse = coarse
         across, along, thick = np.ptp(body.bounds_mm, axis=0)
         self._thick_mm = float(thick)
-        over_change = _ERROR_OVER_CHANGE
+        self._estimating = _FINER
         probe = press.probe
         self._finer = 1.0
         if isinstance(probe, Cylinder):
             self._finer = 1.0 if coarse else _UNDER_RIM
             flat = probe.diameter_mm / 2.0 - probe.edge_mm
             self._rim = probe if flat > _FLAT * state.contact_radius_mm else None
-            over_change = _RIM_OVER_CHANGE[probe.edge_mm < self._least_edge_mm(probe)]
-        elif isinstance(probe, Cone):
-            over_change = _CONE_OVER_CHANGE
+            if probe.edge_mm < self._least_edge_mm(probe):
+                self._estimating = _COARSER
         if len(watched) == 0:  # as deep as the contact is wide, from the axis to thrice its radius
             size = state.contact_radius_mm
             watched = np.tile([*self._axis, min(size, self._thick_mm / 2.0)], (13, 1))
             watched[:, 0] += size * np.linspace(0.0, 3.0, 13)
 
-        # The coarser slab ends at the block's nearest side.
+        # The other slab ends at the block's nearest side.
         self._radii_mm = (math.sqrt(across * along / math.pi), _to_side_mm(body, place))
-        super().__init__((approach.axes,), state, watched, over_change, _LEAST_ERROR)
+        super().__init__((approach.axes,), state, watched, _ERROR_OVER_CHANGE, _LEAST_ERROR)
 
     @cached_property
     def error(self) -> Share:
-        """How far this may be off: what a coarser mesh changes, and a share of what it adds."""
-        least = _LEAST_SHARE * self.linear_error
-        return super().error.plus(Share(indentation=least, markers=least))
+        """How far this may be off: what a finer mesh changes, and shares of what this adds."""
+        return super().error.plus(_LEAST_SHARES.times(self.linear_error))
 
     @staticmethod
     def solves(
@@ -317,46 +318,56 @@ class SlabStrain(FiniteStrain):
     def _least_edge_mm(self, probe: Cylinder) -> float:
         return float(np.min(np.multiply(_LEAST_EDGE, (probe.diameter_mm, self._thick_mm))))
 
-    def _solved(self, coarser: bool) -> FiniteStrain.Solutions:
+    def _solved(self, other: bool) -> _Pair:
         """Return both solutions on a slab."""
         state = self._state
-        radius_mm = self._radii_mm[coarser]
-        coarser |= self._coarse
-        share = self._finer * (_COARSER if coarser else 1.0)
+        fineness = self._estimating if other else _COARSER if self._coarse else 1.0
+        share = self._finer * fineness
         size = state.contact_radius_mm
         approach = self._approach
         if self._rim is None:
             low, high = _ENDS * size
             reach, count = _REACH * size, _AT_END
         else:
-            # The coarser solution's sharp rim is twice as round: it shows what the rounding costs.
+            # A coarser solution's sharp rim is twice as round: it shows what the rounding costs.
             edge = self._rim.edge_mm
             least = self._least_edge_mm(self._rim)
             if edge < least:
-                edge = 2.0 * least if coarser else least
+                edge = 2.0 * least if fineness < 1.0 else least
                 approach = approach.with_edge(edge)
             high = self._rim.diameter_mm / 2.0
             low, reach = high - edge, _RIM_REACH * high
             count = max(_ON_RIM, math.ceil(edge / (_RIM_LENGTH * high)))
-        grid = Slab.Grid.graded((low, high), count, reach, share, radius_mm, self._thick_mm)
+        grid = Slab.Grid.graded(
+            (low, high), count, reach, share, self._radii_mm[other], self._thick_mm
+        )
         slab = Slab(grid, self._material)
         touch = _Touch(grid, approach.shape, size)
         force = float(state.force_n[Z]) / self._material.youngs_modulus_mpa
-        none = np.zeros(len(touch.rest_mm))
-        start = _Balance(np.zeros(slab.size), state.indentation_mm, none, touch.rest_mm < size)
-        linear = self.settled(slab, touch, start, force, linear=True)
-        finite = self._finite(slab, touch, linear, force)
+        if other and fineness > 1.0:  # from the solutions on the mesh that counts
+            start = self._pair.on(slab, touch, self._pair.linear)
+            linear = self.settled(slab, touch, start, force, linear=True, to=_NEARLY)
+            start = self._pair.on(slab, touch, self._pair.finite)
+            finite = self.settled(slab, touch, start, force, linear=False, to=_NEARLY)
+        else:
+            none = np.zeros(len(touch.rest_mm))
+            start = _Balance(np.zeros(slab.size), state.indentation_mm, none, touch.rest_mm < size)
+            linear = self.settled(slab, touch, start, force, linear=True)
+            finite = self._finite(slab, touch, linear, force)
         linear_mm = slab.displacement(linear.unknowns)
         moved = np.zeros((1, MOTIONS))
         moved[0, Z] = finite.place - linear.place
         finite_mm = slab.displacement(finite.unknowns)
         wider = touch.end_mm(finite.pressure, finite_mm) / touch.end_mm(linear.pressure)
-        return FiniteStrain.Solutions(
+        return _Pair(
             read=partial(grid.read_about, self._axis),
             linear_mm=linear_mm,
             change=finite_mm - linear_mm,
             moved=moved,
             wider=np.array([wider]),
+            touch=touch,
+            linear=linear,
+            finite=finite,
         )
 
     def _finite(self, slab: Slab, touch: _Touch, linear: _Balance, force: float) -> _Balance:
@@ -388,7 +399,14 @@ class SlabStrain(FiniteStrain):
         return state
 
     def settled(
-        self, slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear: bool
+        self,
+        slab: Slab,
+        touch: _Touch,
+        state: _Balance,
+        force: float,
+        *,
+        linear: bool,
+        to: float = _TOLERANCE,
     ) -> _Balance:
         """Take Newton's steps until one moves nothing."""
         state = MixedRubber.newton(
@@ -396,7 +414,7 @@ class SlabStrain(FiniteStrain):
             lambda one: slab.displacement(one.unknowns),
             state,
             _STEPS,
-            _TOLERANCE,
+            to,
             self._material.law,
         )
         last = touch.rest_mm[-_POINTS:][state.pressure[-_POINTS:] > 0.0]
@@ -467,6 +485,15 @@ class Slab(MixedRubber):
             """Nodes along r and z."""
             return 2 * len(self.r_mm) - 1, 2 * len(self.z_mm) - 1
 
+        @cached_property
+        def places(self) -> Floats:
+            """Nodes (N, 2): r and z, mm."""
+            lines = [
+                np.interp(np.arange(count) / 2.0, np.arange(len(line)), line)
+                for count, line in zip(self.shape, (self.r_mm, self.z_mm), strict=True)
+            ]
+            return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+
         def read(self, points: Floats) -> tuple[Ints, Floats, Floats]:
             """Return the nodes (n, 9) of the elements at points (n, 2), their shapes (n, 9), and
             the slopes of these (n, 9, 2)."""
@@ -535,12 +562,12 @@ class Slab(MixedRubber):
         nodes, values, slopes = grid.read(points.reshape(-1, 2))
         values = values.reshape(*r.shape, 9)
         slopes = slopes.reshape(*r.shape, 9, 2)
-        # F in the axes r, about and z: what each of an element's 18 displacements adds to it
-        part = np.zeros((*r.shape, 9, 2, 3, 3))
-        part[..., 0, 0, :] = slopes[..., [0, 0, 1]] * [1.0, 0.0, 1.0]
-        part[..., 0, 1, 1] = values / r[..., None]
-        part[..., 1, 2, :] = slopes[..., [0, 0, 1]] * [1.0, 0.0, 1.0]
-        self._part = part.reshape(*r.shape, 18, 9)
+        # What each of an element's 18 displacements adds to `_ENTRIES` of F
+        part = np.zeros((*r.shape, 9, 2, len(_ENTRIES)))
+        part[..., 0, :2] = slopes
+        part[..., 0, 2] = values / r[..., None]
+        part[..., 1, 3:] = slopes
+        self._part = part.reshape(*r.shape, 18, len(_ENTRIES))
         linear = _shapes(_PLACES)[2]
         self._shares = np.einsum("ra,zb->rzab", linear, linear).reshape(-1, 4)
         nodes = nodes.reshape(*r.shape, 9)[:, 0]
@@ -567,6 +594,19 @@ class Slab(MixedRubber):
             self._blocks(unknowns, np.arange(len(self._row))), self._row, self.size
         )
 
+    def carried(self, grid: Slab.Grid, unknowns: Floats) -> Floats:
+        """Return the unknowns of a slab of another grid on this one's."""
+        from scipy.interpolate import RegularGridInterpolator
+
+        count = len(grid.places)
+        within = np.minimum(self.grid.places, grid.places[-1])
+        nodes, values, _ = grid.read(within)
+        moved = np.einsum("na,nai->ni", values, unknowns[: 2 * count].reshape(-1, 2)[nodes])
+        pressure = unknowns[2 * count :].reshape(len(grid.r_mm), -1)
+        corners = within.reshape(*self.grid.shape, 2)[::2, ::2].reshape(-1, 2)
+        known = RegularGridInterpolator((grid.r_mm, grid.z_mm), pressure)
+        return np.concatenate([moved.ravel(), known(corners)])
+
     def solve(self, matrix: Any, right: Floats) -> Floats:
         """Return the solution (n, m) of a tangent for ``right`` (n, m); 0 where it is held."""
         out = np.zeros_like(right)
@@ -576,23 +616,25 @@ class Slab(MixedRubber):
         return out
 
     def _gradient(self, moved: Floats, some: Ints) -> Floats:
-        added = np.einsum("md,mqdk->mqk", moved, self._part[some], optimize=True)
-        return np.asarray(added.reshape(*added.shape[:2], 3, 3) + np.eye(3))
+        part = self._part[some]
+        gradient = np.zeros((*part.shape[:2], 9))
+        gradient[..., _ENTRIES] = (moved[:, None, None] @ part)[:, :, 0]
+        return gradient.reshape(*part.shape[:2], 3, 3) + np.eye(3)
 
     def _forces(self, stress: Floats) -> Floats:
-        flat = stress.reshape(*stress.shape[:2], 9)
-        return np.asarray(np.einsum("mqdk,mqk->md", self._part, flat, optimize=True))
+        flat = stress.reshape(*stress.shape[:2], 9, 1)[:, :, _ENTRIES]
+        return np.asarray((self._part @ flat).sum(axis=1)[..., 0])
 
     def _stiffness(self, slope: Floats, some: Ints) -> Floats:
         part = self._part[some]
         count, places = part.shape[:2]
-        half = part @ slope.reshape(count, places, 9, 9)
-        along = part.swapaxes(2, 3).reshape(count, -1, 18)
-        return np.asarray(half.transpose(0, 2, 1, 3).reshape(count, 18, -1) @ along)
+        own = slope.reshape(count, places, 9, 9)[:, :, _ENTRIES[:, None], _ENTRIES]
+        half = (part @ own).transpose(0, 2, 1, 3).reshape(count, 18, -1)
+        return np.asarray(half @ part.swapaxes(2, 3).reshape(count, -1, 18))
 
     def _swelling(self, cofactor: Floats, some: Ints) -> Floats:
-        part = self._part[some]
-        return np.asarray((part @ cofactor.reshape(*part.shape[:2], 9, 1))[..., 0])
+        flat = cofactor.reshape(*cofactor.shape[:2], 9, 1)[:, :, _ENTRIES]
+        return np.asarray((self._part[some] @ flat)[..., 0])
 
 
 class _Touch:
@@ -600,6 +642,7 @@ class _Touch:
     between them, for a contact of a size."""
 
     def __init__(self, grid: Slab.Grid, shape: Shape, size_mm: float) -> None:
+        self.grid = grid
         self.spring = _SPRING / size_mm
         self.gap_weight = _GAP_WEIGHT / size_mm
         r = grid.r_mm[: grid.touching + 1]
@@ -663,6 +706,19 @@ class _Balance:
     place: float
     pressure: Floats
     active: Bools
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Pair(FiniteStrain.Solutions):
+    touch: _Touch
+    linear: _Balance
+    finite: _Balance
+
+    def on(self, slab: Slab, touch: _Touch, state: _Balance) -> _Balance:
+        """Return one of these solutions on another slab."""
+        pressure = np.interp(touch.rest_mm, self.touch.rest_mm, state.pressure, right=0.0)
+        unknowns = slab.carried(self.touch.grid, state.unknowns)
+        return replace(state, unknowns=unknowns, pressure=pressure, active=pressure > 0.0)
 
 
 def _stepped(slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear: bool) -> _Balance:
