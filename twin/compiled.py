@@ -1,27 +1,20 @@
 """Compiled functions whose stored machine code is valid only for the source that it was made from.
 
 numba compiles constants and helpers of other modules into a function, but checks only the
-function's own file before it reuses stored code: after an update of the package, a stale helper
-would be used silently. Here stored code is valid for the contents of a module and of every module
-of the package that it imports.
+function's own file before it reuses stored code. Here stored code is valid for the contents of a
+module and of every module of the package that it imports. This replaces the source stamp of numba's
+cache file, a private attribute: a cache folder for each state of the package would compile all
+functions again after every changed line. If a later numba has no such attribute, nothing is stored.
 
-This replaces the source stamp of numba's cache file, a private attribute, because numba offers no
-public one. The public settings are ``cache=True``, which has the fault above, and the folder of the
-cache: one folder for each state of the package would be correct, but every changed line anywhere
-would compile all functions again, half a minute for each edit. If a later numba has no such
-attribute, nothing is stored.
-
-numba numbers the files of a function's code in the order of its signatures. Two processes that
-store different signatures at once would take the same number, and one would load the other's code.
-So a file is named by its signature, too.
+numba numbers the files of a function's code in the order of its signatures, so that two processes
+that store different ones at once would take the same number. So a file is named by its signature,
+too. A file that is cut short is made again.
 
 A division by 0 gives inf or NaN as in NumPy, and every result is checked for these. numba's default
 raises ZeroDivisionError inside a loop, which can't report the recipe's number that was too small.
 
-Functions with ``fastmath`` are inlined into their callers. Otherwise the copy compiled inside the
-caller and the one compiled alone are optimised differently; which of them is used depends on
-whether this process compiled them or loaded them, so first and later runs differed in their last
-digits.
+Functions with ``fastmath`` are inlined into their callers: optimised alone and in the caller they
+differ in their last digits, and so did first and later runs.
 """
 
 from __future__ import annotations
@@ -30,13 +23,14 @@ import gc
 import hashlib
 import multiprocessing
 import os
+import pickle
 import re
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, partial
 from typing import Any
 
@@ -75,6 +69,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         try:
             kept = compiled._cache._cache_file
             kept._source_stamp = (kept._source_stamp, digest(function.__code__.co_filename))
+            kept._load_index = partial(_unless_damaged, kept._load_index, dict)
+            kept.load = partial(_unless_damaged, kept.load, lambda: None)
             kept.save = partial(_save, kept, kept.save, kept._data_name_pattern)
         except (AttributeError, OSError):  # another numba, or no source: store nothing
             compiled = numba.njit(**{**options, "cache": False})(function)
@@ -86,10 +82,20 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 def _save(
     kept: Any, save: Callable[[Any, Any], None], pattern: str, key: tuple[Any, ...], data: Any
 ) -> None:
-    """Store code under a name that holds a hash of its signature, ``key[0]``."""
+    """Store code under a name that holds a hash of its signature, ``key[0]``, unless the disk is
+    full."""
     signature = hashlib.sha256(str(key[0]).encode()).hexdigest()[:8]
     kept._data_name_pattern = pattern.replace("{number", f"{signature}.{{number")
-    save(key, data)
+    with suppress(OSError):
+        save(key, data)
+
+
+def _unless_damaged(read: Callable[..., Any], absent: Callable[[], Any], *key: Any) -> Any:
+    """Return what is stored, or a new ``absent`` where its file is cut short."""
+    try:
+        return read(*key)
+    except (EOFError, ValueError, pickle.UnpicklingError):
+        return absent()
 
 
 @cache
@@ -126,9 +132,8 @@ def _read(file: str) -> tuple[bytes, set[str]]:
 class _Compiling(event.Listener):  # type: ignore[misc]
     """Watches numba compile: holds the garbage collector, and prints a line on stderr.
 
-    Why hold the collector: a compilation makes millions of objects that live until its end, and
-    walking them again and again takes a sixth of its time. The line is printed once a command or
-    program; workers print nothing.
+    A compilation makes millions of objects that live until its end; walking them takes a sixth of
+    its time. The line is printed once; workers print nothing.
 
     Attributes
     ----------

@@ -58,6 +58,14 @@ def test_a_helper_changed_in_another_module_changes_its_callers(package: Path) -
     assert said(package) == ["16.0", "0"]
 
 
+@pytest.mark.parametrize(("kind", "size"), [("nbi", 0), ("nbi", 90), ("nbc", 0), ("nbc", 900)])
+def test_stored_code_that_is_cut_short_is_compiled_again(package: Path, kind: str, size: int) -> None:
+    said(package)
+    for file in package.rglob(f"outer.caller*.{kind}"):
+        os.truncate(file, size)
+    assert [said(package) for _ in range(2)] == [["7.0", "0"], ["7.0", "1"]]
+
+
 def test_two_processes_that_store_two_signatures_at_once_leave_each_others_code(package: Path) -> None:
     """The second one has read the index before the first writes it: as if there were none."""
     said(package)

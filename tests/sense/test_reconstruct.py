@@ -216,6 +216,22 @@ def test_every_rule_chooses_the_weight_of_the_weighted_problem(shape):
         assert weighted.weight(rule, data) == pytest.approx(own.weight(rule, (root * data)[seen]), rel=1e-6), rule
 
 
+def test_markers_that_err_more_than_the_others_widen_what_rests_on_them():
+    """Errors of a few markers, ten times the others', by totals that rest on these or on others."""
+    random = np.random.default_rng(8)
+    h = np.kron(np.eye(2), random.normal(0, 1, (60, 3)))
+    factors, rows = Factors.of(h, np.eye(6)), np.kron(np.eye(2), np.ones(3))
+    noise, found, stated = np.repeat([10.0, 1.0], 60), [], []
+    for _ in range(1500):
+        data = random.normal(0, noise)
+        found.append(rows @ factors.forces(data, 1e-9).ravel())
+        even = factors.noise_scale(data, 1e-9) ** 2 * np.diag(factors.covariance(1e-9, rows))
+        stated.append([even, even + factors.misfit_variance(data, 1e-9, rows)])
+    alike, own = np.mean(stated, axis=0) / np.var(found, axis=0)
+    assert alike[0] < 0.6
+    assert own[0] == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.parametrize(("least", "weights"), [(1e-3, (1e-6, 0.1)), (1e-12, (1e-9,))])
 def test_factors_of_some_markers_are_their_own_and_round_off_chooses_no_weight(least, weights):
     """More unknowns than data, and none of it noise: small weights all explain the data."""

@@ -34,9 +34,9 @@ from twin.theory.relaxation import Relaxation
 SIZE, OFFSET, FORCE = (320, 260), np.array([159.5, 129.5]), np.array([0.2, -0.1, 1.5])
 
 
-def sensor():
+def sensor(sites=(6, 5), pitch=2.0):
     markers = np.vstack([grid(8, 6, 1.5, 6.0), grid(7, 5, 1.5, 3.0)])
-    made = _sensor(markers, np.repeat(["red", "blue"], [48, 35]), (6, 5), 2.0, jacobian(markers, 100.0, 20.0))
+    made = _sensor(markers, np.repeat(["red", "blue"], [48, 35]), sites, pitch, jacobian(markers, 100.0, 20.0))
     calibration = replace(made[2], layout_px=made[2].layout_px + OFFSET)
     return markers, made[1], calibration
 
@@ -320,6 +320,20 @@ def test_a_bumped_camera_and_a_turned_picture_are_said(folder):
     assert fine["reason"] == ""
     Image.fromarray(np.ascontiguousarray(np.rot90(image))[: SIZE[1], : SIZE[0]]).save(folder / "turned.png")
     assert twin("rest.png", "turned.png", "--calibration", "flat.npz", cwd=folder).returncode == 3
+
+
+@pytest.mark.parametrize(("at", "twist", "words"), [(0.5, 0, ""), (6.9, 0, "at the edge of the sites"),
+                                                    (0.5, 0.4, "no pushes within the friction")])  # fmt: skip
+def test_a_motion_that_no_push_makes_and_a_press_beside_the_sites_are_doubted(tmp_path, at, twist, words):
+    """``twist``: shear of the whole picture, px a pixel of the layout, without a force into the surface."""
+    markers, seen, calibration = sensor((12, 9), 1.2)
+    layout = calibration.layout_px
+    moved = layout + 0.5 * shifts(markers, seen, *disk([at, 0.2], 2.0, FORCE)) * (twist == 0)
+    moved[:, 0] += 0.05 * twist * (layout[:, 1] - layout[:, 1].mean())
+    pictures = [expose(scene(SIZE, [(p[:48], 0), (p[48:], 2)], 10.0), k) for k, p in enumerate((layout, moved))]
+    bounds = ("--method", "local", "--push-only", "--friction", "0.5")
+    reason = str(felt(tmp_path, pictures[0], calibration, pictures[1:], *bounds)["reason"][0])
+    assert words in reason if words else not reason, reason
 
 
 def test_raw_frames_from_a_pipe(folder):

@@ -3,11 +3,10 @@
 `Problem.of` weighs the markers by their noise and sets up the least squares of the picture. What is
 kept small, and how, is listed in `METHODS`; `twin.sense.reconstruct` solves.
 
-**Weights of the markers** are those of the rest picture. Standard deviations differ a little from
-picture to picture, but each set of weights needs a factorisation of its own (145 ms of CPU time on
-the flat block; a solve takes 5), or one that follows from that of all markers alike (`_base`). Lost
-markers, and markers much noisier than at rest, are corrected exactly (`twin.sense.regularisation`).
-So a solution depends on nothing but the rest picture and the picture.
+**Weights of the markers** are those of the rest picture, as each set of weights needs a
+factorisation of its own (145 ms of CPU time on the flat block; a solve takes 5). Lost markers, and
+markers much noisier than at rest, are corrected exactly (`twin.sense.regularisation`). So a
+solution depends on nothing but the rest picture and the picture.
 """
 
 from __future__ import annotations
@@ -78,9 +77,8 @@ EVEN_NOISE = 2.0
 factorisation serves a whole sequence."""
 
 CLASS = 2.0
-"""Other markers are weighed in classes by this factor around the median: noise is estimated a
-little differently in every picture, and each new set of weights would be factorised again. Two
-readings at the ends of a class lose a fifth of their joint precision at worst, most hardly any."""
+"""Other markers are weighed in classes by this factor around the median, so that a factorisation
+serves several pictures. Readings at a class's ends lose a fifth of their precision at worst."""
 
 UNUSUAL = 2.0
 """A marker whose noise differs from its usual one by more than this factor is weighed otherwise."""

@@ -1,36 +1,29 @@
 """From marker motion to the force field: `reconstruct`; and the motion of a bumped camera:
 `Bump`.
 
-Why the totals come from the linear solve, also where the field is held to pushes or to friction
-cones: sums of such a field are biased, those of the linear estimate hardly are. Why the differences
-go on past the edge of the grid, to sites without force: those inside it don't see a force that is
-the same everywhere, and as that hardly moves a marker in incompressible rubber, nothing else would
-hold it. With them the penalty is a proper prior. Measured on the flat design (636 markers, 15 x 12
-sites, .04 px noise, 12 exposures, 5 mm pillar, mean and standard deviation of the total push's
-error): centre -1.0 +- 1.6 % (differences inside only: -1.2 +- 1.8 %), corner 2.4 +- 2.1 % (5.8 +-
-2.0 %).
+Totals come from the linear solve, also where the field is held to pushes or to friction cones: sums
+of such a field are biased. Differences go on past the edge of the grid, to sites without force:
+those inside it don't see a force that is the same everywhere, which hardly moves a marker in
+incompressible rubber. So the penalty is a proper prior. On the flat design (.04 px of noise, 5 mm
+pillar, error of the push) that makes 2.4 +- 2.1 % of 5.8 +- 2.0 % in a corner.
 
 Wrong vectors, the camera's bend, and markers that this picture weighs otherwise than the rest
-picture all come in as corrections of the data, so that one factorisation serves a whole sequence.
+picture correct the data, so that one factorisation serves a whole sequence.
 
-**Wrong vectors.** Huber's loss is quadratic up to a threshold and linear beyond. If the part of a
-residual vector above the threshold is subtracted from the data, the linear solution is the loss's
-minimum (Huber, Robust Statistics, 1981, sec. 7.8), so one factorisation serves all iterations.
-Vectors far out are then left out. Valid up to a few per cent of wrong vectors spread over the
-picture.
+**Wrong vectors.** If the part of a residual vector above a threshold is subtracted from the data,
+the linear solution minimises Huber's loss (Robust Statistics, 1981, sec. 7.8). Vectors far out are
+then left out. Valid up to a few per cent of wrong vectors spread over the picture.
 
 **Local prior.** Forces are expected where a first solution has some. With a_k their size around
 site k over the largest and A = diag(a_k), the penalty is F^T A^-1 Q A^-1 F, and a site with a_k
 below `FAINTEST` has no force. The average over neighbours keeps a load together: without it the
 method is FOCUSS (I. F. Gorodnitsky and B. D. Rao, IEEE Trans. Signal Process. 45 (1997) 600), which
-concentrates a load in single sites. The weight is the most likely one, because the prior has the
-shape of the load. Forces are no longer linear in the shifts; standard deviations are those for this
-prior. Where in the cell of a site a force acts isn't known, so markers next to a load are not
-believed to their noise (`WITHIN_CELL`).
+concentrates a load in single sites. The weight is the most likely one. Where in a site's cell a
+force acts isn't known, so markers next to a load are not believed to their noise (`WITHIN_CELL`).
 
-**Bumped camera.** A shift of the camera adds the same two numbers to every marker. Generalised
+**Bumped camera.** A shift of the camera adds the same two numbers to every marker: generalised
 least squares under the smooth prior estimates them. A load much wider than the view has the same
-effect and can't be distinguished. Turns and zooms of the camera are not estimated.
+effect. Turns and zooms of the camera are not estimated.
 """
 
 from __future__ import annotations
@@ -87,7 +80,8 @@ class Field(Table):
     sd_total_n, sd_torque_nmm
         (3,) standard deviations of the totals, N and N mm: by the noise, by what the calibration
         leaves open (`Calibration.scale_error`, `Calibration.by_thickness`; recorded places leave
-        nothing), and by `Found.gain_error`. By ``local`` also by where forces are expected.
+        nothing), and by `Found.gain_error`. By ``local`` also by where forces are expected, and by
+        the misfit of markers next to them (`Factors.misfit_variance`).
     used
         (n,) which markers took part.
     wrong
@@ -193,11 +187,10 @@ def reconstruct(
     calibration
         Sites and transfer matrix.
     method
-        ``smooth``: small differences between neighbouring sites (flat paper, eq. 11, in two
-        dimensions and per component); ``norm``: small forces (eq. 14); ``pinv``: plain
-        pseudo-inverse, which diverges with noise; ``local``: as ``smooth``, with forces expected
-        only where a first solution has some (see the module). Where loads cover a part of the
-        surface it is sharper and has better totals, at ten to twenty times the time.
+        ``smooth``: small differences between neighbouring sites (flat paper, eq. 11); ``norm``:
+        small forces (eq. 14); ``pinv``: plain pseudo-inverse, which diverges with noise; ``local``:
+        as ``smooth``, with forces expected only where a first solution has some. Where loads cover
+        a part of the surface it has better totals, at ten to twenty times the time.
     weight
         The papers' omega, px^2/N^2, or how to choose it: ``likelihood`` (marginal likelihood),
         ``gcv`` (robust generalised cross-validation), ``auto`` (the larger of twice the likely one
@@ -213,9 +206,8 @@ def reconstruct(
         Take the camera's bend into account: shifts are not linear in the forces where markers move
         far or the lens is wide. Needs a calibration with a compliance and a camera.
     previous
-        The last frame's field: its contact is where a constrained solve starts. It changes the time
-        of a solve, not its result; the weight is chosen for every frame, as the last one may hold
-        noise alone.
+        The last frame's field, where a constrained solve starts. It changes the time of a solve,
+        not its result.
 
     Raises
     ------
@@ -255,10 +247,12 @@ def reconstruct(
         linear = _solved(problem, whole, given, robust, camera)
         sd_force, moved = linear.sd_force_n, np.zeros(3)
     problem, force = linear.problem, linear.force_n
-    totals = calibration.total_rows @ force.ravel()
-    sd_total = linear.scale * np.sqrt(
-        np.diag(problem.factors.covariance(linear.weight, calibration.total_rows))
-    )
+    factors, rows = problem.factors, calibration.total_rows
+    variance = linear.scale**2 * np.diag(factors.covariance(linear.weight, rows))
+    if METHODS[method].local:
+        variance = variance + factors.misfit_variance(linear.data, linear.weight, rows)
+    sd_total = np.sqrt(variance)
+    totals = rows @ force.ravel()
     sd_total[:3] = np.hypot(sd_total[:3], moved)
     sd_total = np.hypot(sd_total, np.hypot(calibration.scale_error, found.gain_error) * totals)
     if calibration.by_thickness.size:

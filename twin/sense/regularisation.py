@@ -12,8 +12,7 @@ d is the unweighted one of other data: d' = W d + (1 - W) H F. As H F = A d' wit
 A = U diag(S^2/(S^2 + w)) U^T, these are as many equations as there are such data: exact, for any
 weight. The covariance follows from the same few rows (Woodbury's formula). The rules for a weight
 look at the weighted problem's own spectrum, W^1/2 H L^-T = U' S' V'^T, from V' S'^2 V'^T = S (1 -
-U^T (1 - W) U) S in the base's V: filled data have no noise where they were filled, and their
-cross-validated weight is up to twenty times that of the weighted problem.
+U^T (1 - W) U) S in the base's V: filled data have no noise where they were filled.
 
 Validity: the other markers must nearly determine the forces by themselves
 (`twin.sense.inverse.Problem` factorises again where more data are concerned)."""
@@ -33,11 +32,9 @@ LEAST_DECADES, MOST_DECADES = -13.0, -2.0
 """Weights that are searched, decades over the largest squared singular value.
 
 The upper end decides where a picture shows noise alone: there the most likely weight is infinite,
-which states zero force with zero standard deviation, and hides a small load. At -2 the stated
-deviation of the total force is that of the smallest load that is seen. Measured on the flat and the
-finger sensor with loads of 0 to 20 mN (5 mm and 1 mm presses, .005 px of noise): the errors of the
-total are .6 to 1.2 times the stated ones up to 10 mN; with -1 loads of 2 to 5 mN are 2 to 4 stated
-deviations off, with 0 they are 4 to 12, with 2 over 100."""
+which states zero force with zero deviation, and hides a small load. Errors of the total are .6 to
+1.2 times those stated on both sensors, loads of 0 to 10 mN (5 mm and 1 mm presses, .005 px of
+noise); with -1 loads of 2 to 5 mN are 2 to 4 stated deviations off, with 0 they are 4 to 12."""
 
 PER_DECADE = 6
 FLAT = 1e-8
@@ -60,9 +57,8 @@ ROUND_OFF = 1e-14
 def _automatic(seen: Factors.Spectrum) -> float:
     """Return the larger of `LIKELY` times the most likely weight and the cross-validated one.
 
-    Why the larger one: a press is concentrated in few sites, which a prior that is the same
-    everywhere does not expect, so either rule errs by smoothing too little, and not in the same
-    cases (measured: ``python -m benchmarks inverse``).
+    A press is concentrated in few sites, which an even prior does not expect, so either rule
+    smooths too little, and not in the same cases (``python -m benchmarks inverse``).
     """
     return max(LIKELY * _most_likely(seen), _cross_validated(seen))
 
@@ -304,6 +300,22 @@ class Factors:
         response, more = self._more(weight)
         widened = response @ rows.T
         return np.asarray(usual + widened.T @ more @ widened)
+
+    def misfit_variance(self, data: Floats, weight: float, rows: Floats) -> Floats:
+        """Return the (q,) variance of ``rows`` (q, 3k) times the forces that markers' residuals
+        show beyond even noise: the model errs next to a load.
+
+        The covariance HC2 of J. G. MacKinnon and H. White (J. Econometrics 29 (1985) 305), a marker
+        at a time: a residual over the root of its share of freedom, times what it moves.
+        """
+        left = self.left.reshape(-1, 2, len(self.singular))
+        freedom, axes = np.linalg.eigh(np.eye(2) - (left * self._keep(weight)) @ left.mT)
+        residual = (self.share * (data - self.predicted(data, weight))).reshape(-1, 2, 1)
+        error = axes @ (axes.mT @ residual / np.sqrt(np.maximum(freedom, ROUND_OFF))[:, :, None])
+        moves = (rows @ self.back * self._filtered(weight)) @ left.mT
+        found = ((moves @ error)[:, :, 0] ** 2).sum(axis=0)
+        noise = self.noise_scale(data, weight) ** 2 * (moves**2).sum(axis=(0, 2))
+        return np.asarray(np.maximum(found - noise, 0.0))
 
     def site_variance(self, weight: float) -> Floats:
         """Return (3k,) variances of the forces themselves, as in `covariance`."""

@@ -1,15 +1,11 @@
 """What a sensor feels, as ROS 2 messages: plain tables under the messages' own field names, without
 ROS.
 
-=============  ===============================  =================================================
-topic          type                             holds
-=============  ===============================  =================================================
-image          sensor_msgs/msg/Image            CCD picture, ``rgb8`` or ``rgb16``
-camera_info    sensor_msgs/msg/CameraInfo       nominal lens as in air, without the layers
-wrench         geometry_msgs/msg/WrenchStamped  recovered total force and torque about the origin
-wrench_true    geometry_msgs/msg/WrenchStamped  the true ones; no real sensor has this topic
-force_field    sensor_msgs/msg/PointCloud2      recovered, by site: x, y, z (m), fx, fy, fz (N)
-=============  ===============================  =================================================
+- image (sensor_msgs/msg/Image): CCD picture, ``rgb8`` or ``rgb16``
+- camera_info (sensor_msgs/msg/CameraInfo): nominal lens as in air, without the layers
+- wrench (geometry_msgs/msg/WrenchStamped): recovered total force and torque about the origin
+- wrench_true (the same): the true ones; no real sensor has this topic
+- force_field (sensor_msgs/msg/PointCloud2): recovered, by site: x, y, z (m), fx, fy, fz (N)
 
 Units are ROS's (REP 103): metres, newtons, newton metres. The frame is the sensor's own,
 right-handed: origin on the sensing surface, z into the body; forces are the world's on the body.
