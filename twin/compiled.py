@@ -23,7 +23,6 @@ import gc
 import hashlib
 import multiprocessing
 import os
-import pickle
 import re
 import subprocess
 import sys
@@ -94,7 +93,7 @@ def _unless_damaged(read: Callable[..., Any], absent: Callable[[], Any], *key: A
     """Return what is stored, or a new ``absent`` where its file is cut short."""
     try:
         return read(*key)
-    except (EOFError, ValueError, pickle.UnpicklingError):
+    except Exception:  # a pickle that is cut short raises any of them
         return absent()
 
 
