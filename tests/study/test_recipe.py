@@ -29,6 +29,12 @@ def test_a_file_that_an_editor_marked_as_utf8_is_read(tmp_path: Path) -> None:
         load_scene(tmp_path / "other.toml")
 
 
+def test_a_folder_of_results_does_not_hide_the_scene_of_its_name(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "gelpad_press").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_scene("gelpad_press") == load_scene(shipped_scenes()["gelpad_press"])
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_resolved_scene_reads_back_the_same(name: str) -> None:
     scene = load_scene(name)

@@ -635,8 +635,8 @@ def shipped_scenes() -> dict[str, Path]:
 
 def find_scene(scene: str | Path, what: str = "scene") -> Path:
     """Return the file of a scene, or of a "sweep", by path or shipped name, whose first part may be
-    left out."""
-    if what == "scene" and scene and os.path.isdir(scene):
+    left out. A folder hides no shipped scene of its name."""
+    if what == "scene" and scene and os.path.isdir(scene) and str(scene) not in shipped_scenes():
         raise InputError(
             f"{scene}: is a folder; give a scene file, such as {Path(scene) / 'scene.toml'}"
         )
