@@ -5,7 +5,7 @@ Totals come from the linear solve, also where the field is held to pushes or to 
 of such a field are biased. Differences go on past the edge of the grid, to sites without force:
 those inside it don't see a force that is the same everywhere, which hardly moves a marker in
 incompressible rubber. So the penalty is a proper prior. On the flat design (.04 px of noise, 5 mm
-pillar, error of the push) that makes 2.4 +- 2.1 % of 5.8 +- 2.0 % in a corner.
+pillar in a corner) the push is 2.4 +- 2.1 % off with them, and 5.8 +- 2.0 % without.
 
 Wrong vectors, the camera's bend, and markers that this picture weighs otherwise than the rest
 picture correct the data, so that one factorisation serves a whole sequence.
