@@ -112,6 +112,10 @@ _RESIDUAL = 1e-9
 
 _NUDGE_MM = 1e-4
 
+_WATCHED = 0.5, 1.0, 1.5
+"""Depths over the contact's radius at which errors are looked for where a scene has no markers: at
+one depth two meshes may agree by chance."""
+
 _POINTS = 3
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
 """Integration points on an element's side, -1 to 1."""
@@ -282,10 +286,12 @@ class SlabStrain(FiniteStrain):
             self._rim = probe if flat > _FLAT * state.contact_radius_mm else None
             if probe.edge_mm < self._least_edge_mm(probe):
                 self._estimating = _COARSER
-        if len(watched) == 0:  # as deep as the contact is wide, from the axis to thrice its radius
+        if len(watched) == 0:  # without markers: _WATCHED radii deep, from the axis to thrice one
             size = state.contact_radius_mm
-            watched = np.tile([*self._axis, min(size, self._thick_mm / 2.0)], (13, 1))
-            watched[:, 0] += size * np.linspace(0.0, 3.0, 13)
+            deep, away = np.meshgrid(np.multiply(_WATCHED, size), size * np.linspace(0.0, 3.0, 13))
+            watched = np.tile([*self._axis, 0.0], (deep.size, 1))
+            watched[:, 0] += away.ravel()
+            watched[:, 2] = np.minimum(deep.ravel(), self._thick_mm / 2.0)
 
         # The other slab ends at the block's nearest side.
         self._radii_mm = (math.sqrt(across * along / math.pi), _to_side_mm(body, place))
