@@ -171,15 +171,16 @@ class MixedRubber:
         """
         problem: Exception | None = None
         try:
-            for _ in range(steps):
-                before = displacement(state)
-                state = after(state)
-                moved = displacement(state)
-                step = MixedRubber.largest(moved - before) / MixedRubber.largest(moved)
-                if step < tolerance:
-                    return state
-                if not math.isfinite(step):
-                    break
+            with np.errstate(over="ignore", invalid="ignore"):  # of steps that diverge
+                for _ in range(steps):
+                    before = displacement(state)
+                    state = after(state)
+                    moved = displacement(state)
+                    step = MixedRubber.largest(moved - before) / MixedRubber.largest(moved)
+                    if step < tolerance:
+                        return state
+                    if not math.isfinite(step):
+                        break
         except (NotSettled, SolveError) as found:
             problem = found
         raise NotSettled(
