@@ -383,7 +383,7 @@ def test_one_layer_states_what_the_force_sideways_owes_to_where_forces_are_expec
         field = reconstruct(found, calibration, "local")
         score.append((field.total_force_n - state.force_n) / field.sd_total_n)
         field_error.append(force_score(field, sensor.rectangles(state.load))["field_error"])
-    assert 0.5 < np.sqrt(np.mean(np.square(score))) < 2.0
+    assert 1 / 3 < np.sqrt(np.mean(np.square(score))) < 2.0
     assert np.mean(field_error) < most
 
 

@@ -201,7 +201,7 @@ def test_large_strain_is_in_the_motion_of_a_samples_markers(tmp_path: Path) -> N
     off = np.linalg.norm(moved["bent"] - moved["straight"], axis=1).max()
     most = np.linalg.norm(moved["straight"], axis=1).max()
     assert off == pytest.approx(found["bent"]["linearisation_error"] * most, rel=0.2)
-    assert found["bent"]["displacement_error"] > 2e-4 + found["straight"]["displacement_error"]
+    assert found["bent"]["displacement_error"] > 5e-5 + found["straight"]["displacement_error"]
     assert "Large strain is included" in (tmp_path / "bent" / "README.md").read_text()
     assert "linear: no rate" in (tmp_path / "straight" / "README.md").read_text()
 
