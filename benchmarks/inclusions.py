@@ -1,11 +1,10 @@
 """What hard beads change: ``python -m benchmarks inclusions`` stores the rows and writes the tables of the page.
 
 Two answers to one question. An independent finite-element program (NGSolve, of the ``peers`` extra) resolves the beads
-next to the load in the whole block; closed forms (`twin.theory.inclusions`) take the same beads, and
-then all 636 of them, which no mesh of reasonable size could resolve. With beads and without them the mesh is the
-same, so that the mesh's own error cancels in the change. The load is even over the disc below the 5 mm pillar; two
-mirror planes leave a quarter. Further rows say where the option of stiff markers
-(`twin.world.elasticity.rigid_beads`) ends, and what it costs.
+next to the load in the whole block; closed forms (`twin.theory.inclusions`) take the same beads, and then all 636 of
+them, which no mesh of reasonable size could resolve. With beads and without them the mesh is the same, so that its own
+error cancels in the change. The load is even over the disc below the 5 mm pillar; two mirror planes leave a quarter.
+Further rows say where the option of stiff markers (`twin.world.elasticity.rigid_beads`) ends, and what it costs.
 
 The elements are Taylor-Hood, with curved bead surfaces; a bead is rubber that is stiffer by `RIGID`. E = 1 MPa there:
 displacements scale with 1/E.

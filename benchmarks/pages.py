@@ -337,7 +337,7 @@ def _calibrations() -> dict[str, str]:
     return {"results": f"{table(rows)}\n"}
 
 
-# linearity: benchmarks.validity
+# linearity: rows that were stored once
 
 
 def law_error(row: Row) -> float:

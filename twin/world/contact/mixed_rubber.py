@@ -153,6 +153,7 @@ class MixedRubber:
             )
 
     @staticmethod
+    @np.errstate(over="ignore", invalid="ignore")
     def newton(
         after: Callable[[State], State],
         displacement: Callable[[State], Floats],
@@ -162,7 +163,7 @@ class MixedRubber:
         law: str,
     ) -> State:
         """Take Newton's steps until one moves no node by more than ``tolerance`` of the largest
-        displacement.
+        displacement. Numbers may overflow in steps that diverge.
 
         Raises
         ------
@@ -171,16 +172,15 @@ class MixedRubber:
         """
         problem: Exception | None = None
         try:
-            with np.errstate(over="ignore", invalid="ignore"):  # of steps that diverge
-                for _ in range(steps):
-                    before = displacement(state)
-                    state = after(state)
-                    moved = displacement(state)
-                    step = MixedRubber.largest(moved - before) / MixedRubber.largest(moved)
-                    if step < tolerance:
-                        return state
-                    if not math.isfinite(step):
-                        break
+            for _ in range(steps):
+                before = displacement(state)
+                state = after(state)
+                moved = displacement(state)
+                step = MixedRubber.largest(moved - before) / MixedRubber.largest(moved)
+                if step < tolerance:
+                    return state
+                if not math.isfinite(step):
+                    break
         except (NotSettled, SolveError) as found:
             problem = found
         raise NotSettled(

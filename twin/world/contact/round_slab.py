@@ -716,6 +716,8 @@ class _Balance:
 
 @dataclass(frozen=True, kw_only=True)
 class _Pair(FiniteStrain.Solutions):
+    """Both solutions on a slab, from which those on another may start."""
+
     touch: _Touch
     linear: _Balance
     finite: _Balance
