@@ -47,7 +47,8 @@ class MixedRubber:
         self.law_name = material.law
         self._law = strain_law(material)
         self._shear = shear_modulus(1.0, nu)
-        self._softness = (1.0 - 2.0 * nu) / (2.0 * self._shear * nu)
+        apart = 1.0 - 2.0 * nu
+        self._softness = apart / (self._shear * (2.0 * nu - self._law.bulk * apart))
 
     def displacement(self, unknowns: Floats) -> Floats:
         """Return the displacement (N, axes) of the nodes, mm."""
@@ -186,5 +187,5 @@ class MixedRubber:
         raise NotSettled(
             f"contact: at finite strain (material.law = {law}) Newton's steps did not converge in "
             f"{steps}: press with less force, with a larger or rounder probe, or set "
-            "material.law = linear"
+            "material.poisson_ratio = 0.5 or material.law = linear"
         ) from problem

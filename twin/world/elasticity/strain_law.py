@@ -3,14 +3,16 @@
 A law splits the first Piola-Kirchhoff stress of rubber of shear modulus 1 into a part of its own
 and a pressure,
 
-    P = S(F) + q cof F,    (J - 1) - q / lambda = 0 weakly,    J = det F,
+    P = S(F) + q cof F,    (J - 1) - q / (lambda - b) = 0 weakly,    J = det F,
 
-with S = 0 and dS = 2 e at rest (e the small strain), so that at rest the law *is* linear theory
-for every Poisson's ratio (lambda = 2 nu / (1 - 2 nu), endless at nu = 1/2).
+with S = 0 and dS = 2 e + b tr(e) I at rest (e the small strain), so that at rest the law *is*
+linear theory for every Poisson's ratio (lambda = 2 nu / (1 - 2 nu), endless at nu = 1/2). Between
+the points where q sees the volume only S resists: a law whose S would give way there takes b > 0.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -22,9 +24,17 @@ from twin.parts.material import Material
 LEAST_POISSON = 0.45
 """The laws are tried for rubber, from here to 1/2."""
 
+_MOST_BULK = 0.5
+"""Largest share of lambda that a law takes itself."""
+
 
 class StrainLaw(Protocol):
     """The law's own stress and its slope."""
+
+    @property
+    def bulk(self) -> float:
+        """b: how much of the volume's stiffness lambda is in the law's own stress; mostly 0."""
+        ...
 
     def stress(self, gradient: Floats, cofactor: Floats, ratio: Floats) -> Floats:
         """Return S (..., 3, 3) of F (..., 3, 3), its cofactors, and its determinant (...)."""
@@ -49,11 +59,14 @@ class _Polynomial:
     ----------
     c2, c11, c111
         Over the shear modulus; all 0 is neo-Hooke's law.
+    bulk
+        See `StrainLaw`.
     """
 
     c2: float = 0.0
     c11: float = 0.0
     c111: float = 0.0
+    bulk: float = 0.0
 
     def stress(self, gradient: Floats, cofactor: Floats, ratio: Floats) -> Floats:
         """See `StrainLaw`."""
@@ -88,8 +101,8 @@ class _Polynomial:
 
     @property
     def _of_volume(self) -> tuple[float, float]:
-        """p'(1) and p''(1): no stress at rest, and no stiffness there but shear."""
-        return 1.0 + 2.0 * self.c2, 8.0 * self.c11 - 1.0 + 2.0 * self.c2
+        """p'(1) and p''(1): no stress at rest, and no stiffness there but shear and `bulk`."""
+        return 1.0 + 2.0 * self.c2, 8.0 * self.c11 - 1.0 + 2.0 * self.c2 - self.bulk
 
     def _of_first_invariant(self, gradient: Floats) -> tuple[Floats, Floats]:
         """Return 2 dW/dI1 (...) and its slope by I1."""
@@ -108,7 +121,11 @@ def strain_law(material: Material) -> StrainLaw:
     if material.law == "mooney_rivlin":
         return _Polynomial(c2=0.5 * ratios[0] / (1.0 + ratios[0]))
     if material.law == "yeoh":
-        return _Polynomial(c11=0.5 * ratios[0], c111=0.5 * ratios[1])
+        # p'' > 0 would feed changes of volume wherever (I1 - 3)^2 has become softer than at rest
+        nu = material.poisson_ratio
+        lame = 2.0 * nu / (1.0 - 2.0 * nu) if nu < 0.5 else math.inf
+        bulk = max(min(4.0 * ratios[0] + 2.0 * ratios[1] - 1.0, _MOST_BULK * lame), 0.0)
+        return _Polynomial(c11=0.5 * ratios[0], c111=0.5 * ratios[1], bulk=bulk)
     return _Polynomial()
 
 
