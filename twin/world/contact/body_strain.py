@@ -523,7 +523,10 @@ def _unsolved(press: Press, body: Body, material: Material) -> str:
             if not held[:, Z].all():
                 return "press: a probe with friction is solved where a force presses it"
             if turned[ABOUT_X:TURN].any():
-                return "press.steps: a probe with friction that doesn't roll is solved"
+                return (
+                    "press.steps turn the probe about x or y: one with friction that doesn't roll, "
+                    "but slides or turns about its way, is solved"
+                )
         elif turned[ABOUT_X:].any() or held[:, np.arange(MOTIONS) != Z].any():
             return "press: probes that are guided along their way and don't turn are solved"
         if press.also and not held[:, Z].all():
