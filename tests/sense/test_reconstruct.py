@@ -329,6 +329,33 @@ def test_what_an_unsure_thickness_makes_of_totals_is_stated():
     taken = read((change @ field.force_n.ravel()).reshape(-1, 2), calibration)
     for total, sd in (("total_force_n", "sd_total_n"), ("total_torque_nmm", "sd_torque_nmm")):
         assert getattr(field, sd) == pytest.approx(np.hypot(getattr(sure, sd), getattr(taken, total)), rel=1e-4)
+    by_mesh = read(shift, dataclasses.replace(calibration, provenance='{"mesh_error": 0.1}'))
+    size = np.linalg.norm(sure.total_force_n)
+    assert by_mesh.sd_total_n == pytest.approx(np.hypot(sure.sd_total_n, 0.1 * size))
+
+
+def test_what_an_unsure_camera_makes_of_totals_is_stated():
+    """As of the thickness; the changed matrices are those of scenes whose camera is moved or turned."""
+    scene = load_scene("gelpad_press", {"tolerance.pupil_mm": 0.1, "tolerance.tilt_deg": 0.2})
+    made, camera = calibration_of(Sensor(scene)), scene.camera
+    calibration = dataclasses.replace(made, provenance=json.dumps(made.facts | {"scale_error": 0.0}))
+    force = np.random.default_rng(5).normal(size=calibration.site_mm.shape)
+
+    def read(shift, calibration):
+        return reconstruct(as_found(shift, calibration, 0.002), calibration, "norm", 1e-3)
+
+    shift = (calibration.transfer @ force.ravel()).reshape(-1, 2)
+    unknown = {"camera_error": [0.0, 0.0]}
+    sure = read(shift, dataclasses.replace(calibration, provenance=json.dumps(calibration.facts | unknown)))
+    field, variance = read(shift, calibration), sure.sd_total_n**2
+    for key, more in (("pupil_mm", 0.1), ("tilt_deg", 0.2)):
+        for axis in range(3):
+            there = [value + more * (k == axis) for k, value in enumerate(getattr(camera, key))]
+            moved = calibration_of(Sensor(load_scene("gelpad_press", {f"camera.{key}": there}))).transfer
+            lacking = ((moved - calibration.transfer) @ field.force_n.ravel()).reshape(-1, 2)
+            variance = variance + read(lacking, calibration).total_force_n ** 2
+    assert field.sd_total_n == pytest.approx(np.sqrt(variance), rel=1e-3)
+    assert (field.sd_total_n[:2] > 1.02 * sure.sd_total_n[:2]).all()
 
 
 DOTS = {

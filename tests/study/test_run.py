@@ -171,6 +171,20 @@ def test_shipped_calibrations_are_of_the_scenes_that_name_them(name: str, monkey
         assert json.loads(str(kept["provenance"])) == found.facts
 
 
+def test_a_stored_calibration_is_of_the_accuracy_that_is_asked_for() -> None:
+    """Two recipes of different accuracy shared one."""
+    one_place = {"columns": 1, "rows": 1, "pitch_mm": 1.0}
+    changed = {"calibration.presses": one_place, "reconstruction.sites": one_place, "renderer": "splat"}
+
+    def transfer(patches: int) -> np.ndarray:
+        keys = {**changed, "calibration.method": "sato", "accuracy.contact_patches": patches}
+        return calibration_of(twin.Sensor(twin.load_scene("gelpad_press", keys))).transfer
+
+    coarse, fine, again = transfer(8), transfer(12), transfer(8)
+    np.testing.assert_array_equal(coarse, again)
+    assert np.abs(coarse - fine).max() > 1e-6
+
+
 TRACKING = {"sd_px": 0.01, "matched": 1.0, "markers": 200}
 FORCE = {
     "total_force_error": 0.055,

@@ -19,7 +19,7 @@ from twin.display import html_table, one_line
 from twin.errors import InputError, TwinError
 from twin.files import read_arrays, write_whole
 from twin.parts.camera import Camera
-from twin.theory.optics import project
+from twin.theory.optics import project, project_with_jacobian
 from twin.theory.relaxation import Relaxation
 
 VERSION = 3
@@ -70,8 +70,8 @@ class Calibration:
     method
         Where the transfer comes from.
     provenance
-        JSON text: how it was made, with a digest of the nominal scene; see `relaxation` and
-        `scale_error`.
+        JSON text: how it was made, with a digest of the nominal scene; see `relaxation`,
+        `scale_error`, `mesh_error` and `by_camera`.
     by_thickness
         (2n, 3k) px/N, how much `transfer` changes by one standard deviation of the body's
         thickness, or from a half-space to the drawn body; (0, 0) where that isn't known.
@@ -158,7 +158,7 @@ class Calibration:
                 json.loads(getattr(self, name))
             except (ValueError, RecursionError) as problem:
                 raise InputError(f"calibration: {name} must be JSON text ({problem})") from None
-        self.relaxation, self.scale_error  # noqa: B018  bad terms are refused here
+        self.relaxation, self.scale_error, self.mesh_error  # noqa: B018  bad ones are refused here
         if self.has_camera:
             self._optics  # noqa: B018  a bad camera is refused here
 
@@ -214,10 +214,48 @@ class Calibration:
 
         It stands in `provenance`, as ``scale_error``.
         """
-        found = self.facts.get("scale_error", 0.0)
+        return self._share("scale_error")
+
+    @cached_property
+    def mesh_error(self) -> float:
+        """Expected error of the computed response over the largest one: of the mesh. It makes of a
+        force one as much smaller, along any axis. 0 if that isn't known.
+
+        It stands in `provenance`, as ``mesh_error``.
+        """
+        return self._share("mesh_error")
+
+    def _share(self, name: str) -> float:
+        found = self.facts.get(name, 0.0)
         if not (isinstance(found, int | float) and 0.0 <= found < 1.0):
-            raise InputError(f"calibration: scale_error = {found!r} must lie from 0 to 1")
+            raise InputError(f"calibration: {name} = {found!r} must lie from 0 to 1")
         return float(found)
+
+    @cached_property
+    def by_camera(self) -> Floats:
+        """(6, n, 2, 3) how much the markers' derivatives in the picture change by a standard
+        deviation of the pupil's x, y and z and of the camera's turns about them, px/mm; (0, n, 2,
+        3) if that isn't known.
+
+        The deviations stand in `provenance`, as ``camera_error``: those of a coordinate, mm, and of
+        a turn, deg.
+        """
+        found = self.facts.get("camera_error", (0.0, 0.0))
+        if not (
+            isinstance(found, list | tuple)
+            and len(found) == 2
+            and all(isinstance(one, int | float) and 0.0 <= one <= 10.0 for one in found)
+        ):
+            raise InputError(f"calibration: camera_error = {found!r} must be two numbers up to 10")
+        if not (self.has_camera and any(found)):
+            return np.zeros((0, len(self.layer), 2, 3))
+        camera, index, base = self._optics
+        drawn = project_with_jacobian(self.marker_mm, camera, index, base)[1]
+        changes = []
+        for moved in np.diag(np.repeat(found, 3)):
+            other = camera.deviating(base, moved[:3], moved[3:], 0.0, 0.0)
+            changes.append(project_with_jacobian(self.marker_mm, other, index, base)[1] - drawn)
+        return frozen(np.nan_to_num(np.stack(changes)))
 
     @cached_property
     def calibrated(self) -> Bools:

@@ -79,9 +79,10 @@ class Field(Table):
         (k, 3) standard deviation of the linear estimate's forces, given the prior, N.
     sd_total_n, sd_torque_nmm
         (3,) standard deviations of the totals, N and N mm: by the noise, by what the calibration
-        leaves open (`Calibration.scale_error`, `Calibration.by_thickness`; recorded places leave
-        nothing), and by `Found.gain_error`. By ``local`` also by where forces are expected, and by
-        the misfit of markers next to them (`Factors.misfit_variance`).
+        leaves open (`Calibration.scale_error`, `Calibration.by_thickness`,
+        `Calibration.by_camera`, `Calibration.mesh_error`; recorded places leave nothing), and by
+        `Found.gain_error`. By ``local`` also by where forces are expected, and by the misfit of
+        markers next to them (`Factors.misfit_variance`).
     used
         (n,) which markers took part.
     wrong
@@ -255,8 +256,7 @@ def reconstruct(
     totals = rows @ force.ravel()
     sd_total[:3] = np.hypot(sd_total[:3], moved)
     sd_total = np.hypot(sd_total, np.hypot(calibration.scale_error, found.gain_error) * totals)
-    if calibration.by_thickness.size:
-        sd_total = np.hypot(sd_total, linear.totals_by_thickness)
+    sd_total = np.hypot(sd_total, linear.totals_left_open)
     kkt = 0.0
     if push_only or friction is not None:
         at = linear.weight
@@ -350,6 +350,8 @@ THRESHOLD = 4.0
 """Residual length, over its scale, beyond which the loss is linear and, in the end, a vector is
 left out."""
 
+TINY = float(np.finfo(float).tiny)
+
 RAYLEIGH_MEDIAN = 1.1774
 """Median length of a vector of two normal components, over their standard deviation."""
 
@@ -425,13 +427,29 @@ class _Linear:
         return self.problem.factors.noise_scale(self.data, self.weight)
 
     @property
-    def totals_by_thickness(self) -> Floats:
-        """(6,) totals of the forces for which shifts are taken that the transfer matrix lacks by
-        `Calibration.by_thickness`, N and N mm."""
+    def totals_left_open(self) -> Floats:
+        """(6,) standard deviations of totals, N and N mm: by the forces for which shifts are taken
+        that the transfer matrix lacks by `Calibration.by_thickness` and `Calibration.by_camera`,
+        and by `Calibration.mesh_error`."""
         problem, known = self.problem, self.problem.calibration
-        lacking = (known.by_thickness @ self.force_n.ravel()).reshape(-1, 2)
-        taken = problem.factors.forces(problem.whiten(lacking), self.weight)
-        return np.asarray(known.total_rows @ taken.ravel())
+        force = self.force_n
+        single = force.ravel().astype(np.float32)
+        lacking: list[Floats] = []
+        if known.by_thickness.size:
+            lacking.append((known.by_thickness @ single).reshape(-1, 2).astype(np.float64))
+        if len(known.by_camera):
+            motion = (known.compliance @ single).reshape(-1, 3, 1)
+            lacking.extend((known.by_camera @ motion)[..., 0])
+        taken = np.zeros((0, len(known.total_rows)))
+        if lacking:
+            data = np.stack([problem.whiten(shift) for shift in lacking])
+            taken = problem.factors.sums(known.total_rows, data, self.weight)
+        size = np.linalg.norm(known.total_rows[:3] @ force.ravel())
+        share = np.linalg.norm(force, axis=1, keepdims=True)
+        centre = (share * known.site_mm).sum(axis=0) / max(float(share.sum()), TINY)
+        levers = [np.ones(3), np.hypot(np.roll(centre, -1), np.roll(centre, -2))]
+        by_mesh = known.mesh_error * size * np.concatenate(levers)
+        return np.asarray(np.sqrt((taken**2).sum(axis=0) + by_mesh**2))
 
     @property
     def sd_force_n(self) -> Floats:

@@ -224,10 +224,15 @@ class Factors:
         _, along = self._completed(data, weight)
         return np.asarray((self.back @ (self._filtered(weight) * along)).reshape(-1, 3))
 
+    def sums(self, rows: Floats, data: Floats, weight: float) -> Floats:
+        """Return (c, q) ``rows`` (q, 3k) times the forces of (c, m) whitened data."""
+        moves = (rows @ self.back * self._filtered(weight)) @ self.left.T
+        return np.asarray(self.filled(data.T, weight).T @ moves.T)
+
     def filled(self, data: Floats, weight: float) -> Floats:
         """Return (m,) or (m, q) data of which the usual solution is the weighted one; lost data
         must be finite."""
-        return self._completed(data, weight)[0]
+        return self._completed(data, weight)[0] if len(self.rows) else data
 
     def _completed(self, data: Floats, weight: float) -> tuple[Floats, Floats]:
         """Return `filled` data, and U^T of them."""

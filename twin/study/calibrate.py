@@ -100,7 +100,7 @@ def calibration_of(sensor: Sensor, *, kept: bool = True) -> Calibration:
     from twin.sense.calibration import read_calibration
 
     digest = _sensor_digest(scene)
-    cached = cache_folder() / f"calibration-{digest[:32]}.npz"
+    cached = cache_folder() / f"calibration-{digest[:32]}-{_as_computed(scene)}.npz"
     given = [Path(scene.calibration.file)] if scene.calibration.file else []
     for path in [*given, cached]:
         # A damaged file is named to who gave it; in the cache it is made again.
@@ -251,6 +251,13 @@ def _sensor_digest(scene: Scene) -> str:
     table["calibration"].pop("file")
     table["reconstruction"] = table["reconstruction"]["sites"]
     return hashlib.sha256(json.dumps(identity(table), sort_keys=True).encode()).hexdigest()
+
+
+def _as_computed(scene: Scene) -> str:
+    """Return a hash of how exactly, and by which renderer, the presses of a calibration are
+    computed: those of one sensor are stored under it. A file is taken by whatever it was made."""
+    table = scene.model_dump(mode="json", include={"accuracy", "renderer"})
+    return hashlib.sha256(json.dumps(identity(table), sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _by_linear_theory(scene: Scene) -> Scene:
@@ -491,17 +498,22 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
     from importlib.metadata import version
 
     from twin.sense.calibration import Calibration
+    from twin.world.elasticity.error_law import EXPECTED
 
     scene, sites, layout = sensor.nominal, sensor.sites, sensor.layout_px
     grid = scene.inverse.sites
-    measured = scene.calibration.method in BY_PRESSES
+    method, room = scene.calibration.method, scene.tolerance
+    mesh = EXPECTED[scene.body.is_flat, "nominal"].inside
+    drawn = method not in BY_PRESSES and room.preset != "none"
     facts = {
         "digest": _sensor_digest(scene),
-        "method": scene.calibration.method,
+        "method": method,
         "scene": scene.title,
         "youngs_modulus_mpa": scene.material.youngs_modulus_mpa,
         "relaxation": [(term.share, term.time_s) for term in scene.material.relaxation],
-        "scale_error": 0.0 if measured else scene.scale_error,
+        "scale_error": scene.scale_error if drawn else 0.0,
+        "camera_error": [room.pupil_mm, room.tilt_deg] if drawn else [0.0, 0.0],
+        "mesh_error": mesh if method == "compliance" else 0.0,
         "seed": scene.seed,
         "versions": {name: version(name) for name in PACKAGES},
     }
