@@ -97,8 +97,20 @@ def hertz(
 
 
 def punch_pressure(distance_mm: Floats, radius_mm: float, force_n: float) -> Floats:
-    """Return F / (2 pi a sqrt(a^2 - r^2)), MPa, under a flat-ended cylinder; 0 outside (section
-    3.4)."""
+    """Return the pressure under a rigid flat-ended cylinder without friction.
+
+    Parameters
+    ----------
+    distance_mm
+        Distances r from the axis, of any shape.
+    radius_mm, force_n
+        Radius a of the face, and the force F along the axis.
+
+    Returns
+    -------
+    p = F / (2 pi a sqrt(a^2 - r^2)), MPa, in that shape; 0 from the rim on (Johnson 1985, section
+    3.4). Validity: a half-space; towards the rim p grows without bound.
+    """
     inside = radius_mm**2 - np.asarray(distance_mm, float) ** 2
     safe = np.where(inside > 0, inside, np.inf)
     return np.asarray(force_n / (2.0 * math.pi * radius_mm * np.sqrt(safe)))
@@ -107,10 +119,21 @@ def punch_pressure(distance_mm: Floats, radius_mm: float, force_n: float) -> Flo
 def cone_contact_radius(
     force_n: float, apex_deg: float, youngs_modulus_mpa: float, poisson_ratio: float
 ) -> float:
-    """Return the contact radius a, mm, of a frictionless cone of full apex angle 2 alpha under F =
-    (pi / 2) E* a^2 cot(alpha) (Johnson 1985, section 5.2).
+    """Return the contact radius a, mm, of a rigid cone without friction.
 
-    Validity: blunt cones, as the linear theory takes the slope cot(alpha) for small.
+    Parameters
+    ----------
+    force_n
+        Force F along the axis.
+    apex_deg
+        The whole angle at the tip, 2 alpha.
+    youngs_modulus_mpa, poisson_ratio
+        Of the half-space.
+
+    Notes
+    -----
+    F = (pi / 2) E* a^2 cot(alpha) (Johnson 1985, section 5.2). Validity: blunt cones, as the linear
+    theory takes the slope cot(alpha) for small.
     """
     slope = 1.0 / math.tan(math.radians(apex_deg / 2))
     modulus = plane_strain_modulus(youngs_modulus_mpa, poisson_ratio)

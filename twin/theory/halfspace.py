@@ -52,7 +52,21 @@ _CHUNK = 4_000_000
 def displacement(
     points: Points, load: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float
 ) -> Points:
-    """Return the (n, 3) displacement in mm of ``points`` (n, 3) under all rectangles together."""
+    """Return the displacement under all rectangles together.
+
+    Parameters
+    ----------
+    points
+        (n, 3) points, mm, on or below every rectangle's plane.
+    load
+        k rectangles and their forces, N, along the axes of the body; z leads into it.
+    youngs_modulus_mpa, poisson_ratio
+        Of the half-space; up to 1/2, inclusive.
+
+    Returns
+    -------
+    (n, 3) displacement, mm. Equations, sources and validity stand at the head of the module.
+    """
     if len(load) > 1 and not load.half_mm.any() and (load.frames == load.frames[0]).all():
         turn = load.frames[0]
         parts = (
@@ -74,7 +88,22 @@ def displacement(
 def compliance(
     points: Points, rectangles: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float
 ) -> Floats:
-    """Return the (3 n, 3 k) displacement in mm/N of points under unit forces on each rectangle."""
+    """Return the displacement under unit forces on each rectangle: the columns whose sum, times the
+    forces, is `displacement`.
+
+    Parameters
+    ----------
+    points
+        (n, 3) points, mm, on or below every rectangle's plane.
+    rectangles
+        k rectangles; their forces don't count.
+    youngs_modulus_mpa, poisson_ratio
+        Of the half-space.
+
+    Returns
+    -------
+    (3 n, 3 k) displacement, mm/N: rows by point, then axis; columns by rectangle, then axis.
+    """
     out = np.empty((3 * len(points), 3 * len(rectangles)))
     _compliance(*_pairs(points, rectangles), 1.0 - 2.0 * poisson_ratio, out)
     out *= _scale(youngs_modulus_mpa, poisson_ratio)
@@ -96,14 +125,25 @@ def normal_compliance(
 def gradient(
     points: Points, load: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float
 ) -> Floats:
-    """Return (n, 3, 3) du_i/dx_j (no unit) at ``points``."""
+    """Return how the displacement changes from place to place; for the parameters see
+    `displacement`.
+
+    Returns
+    -------
+    (n, 3, 3) du_i/dx_j, without a unit; on a rectangle's edges, where it is infinite, finite.
+    """
     slope, _ = _slopes(points, load, poisson_ratio)
     return slope * _scale(youngs_modulus_mpa, poisson_ratio)
 
 
 def stress(points: Points, load: Rectangles, poisson_ratio: float) -> Floats:
-    """Return the (n, 3, 3) stress in MPa at ``points``: sigma = G (grad u + grad u^T) + lambda div
-    u, which stays finite at nu = 1/2 and is independent of E."""
+    """Return the stress under all rectangles together; for the parameters see `displacement`.
+
+    Returns
+    -------
+    (n, 3, 3) stress, MPa, tension positive: sigma = G (grad u + grad u^T) + lambda div u, which
+    stays finite at nu = 1/2 and is independent of E.
+    """
     slope, pull = _slopes(points, load, poisson_ratio)
     out = 0.25 / math.pi * (slope + slope.transpose(0, 2, 1))
     out[:, range(3), range(3)] -= poisson_ratio / math.pi * pull[:, None]

@@ -71,8 +71,19 @@ _NONE = 1e-30
 
 
 def lens(towards: Points, camera: Camera) -> Pixels:
-    """Return (n, 2) px of (n, 3) directions (right, up, backward); NaN where the lens shows
-    nothing."""
+    """Return where the lens shows directions.
+
+    Parameters
+    ----------
+    towards
+        (n, 3) directions of any length in the camera's axes: right, up, backward.
+    camera
+        Kind, focal length, centre, aspect and distortion of the lens.
+
+    Returns
+    -------
+    (n, 2) column and row, px; NaN where the lens shows nothing.
+    """
     radius, across, ahead = _radius(towards, camera)
     undistorted = _around(radius, across, ahead)[:, None] * towards[:, :2]
     if not any(camera.distortion):
@@ -87,7 +98,8 @@ def lens(towards: Points, camera: Camera) -> Pixels:
 
 
 def lens_jacobian(towards: Points, camera: Camera) -> Floats:
-    """Return (n, 2, 3) derivatives of `lens` with respect to the directions."""
+    """Return (n, 2, 3) derivatives of `lens` with respect to the directions, px for a direction's
+    unit; for the parameters see there."""
     radius, across, ahead = _radius(towards, camera)
     by_across, by_ahead = RADIAL[camera.lens].slopes(across, ahead)
     unit = towards[:, :2] / np.where(across > 1e-12, across, 1.0)[:, None]
@@ -111,7 +123,19 @@ def _distortion_jacobian(place: Floats, radius: Floats, camera: Camera) -> Float
 
 
 def lens_inverse(pixels: Pixels, camera: Camera) -> Points:
-    """Return (n, 3) unit directions in camera axes that reach (n, 2) px; NaN where none does."""
+    """Return the directions that the lens shows at places in the picture.
+
+    Parameters
+    ----------
+    pixels
+        (n, 2) column and row, px.
+    camera
+        As for `lens`.
+
+    Returns
+    -------
+    (n, 3) unit directions in the camera's axes; NaN where none reaches the place.
+    """
     column, row = camera.centre_px
     flat = (np.asarray(pixels, float) - [column, row]) / [
         camera.focal_px,
