@@ -20,10 +20,13 @@ def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> l
     from twin.world.picture.render import Renderer
     from twin.world.picture.stock_scene import check_stock, write_stock_scene
 
+    # What can't be written is refused before anything is computed.
+    if scene.camera is not None:
+        check_stock(scene)
+        make_folder(out)
     sensor = Sensor(scene, progress)
     renderer = sensor.renderer  # refuses a scene without a camera
     actual = renderer.scene
-    check_stock(actual)
     exposure = renderer.exposure
     # Discs that stand for points are mirrored in the window, points are not.
     brighter = 1.0
@@ -40,7 +43,6 @@ def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> l
     if scene.tractions or scene.press is not None:
         load = scene.load if scene.tractions else sensor.press().load
         motions["pressed"] = sensor.motion(load)
-    make_folder(out)
     states = {
         name: (sensor.ellipsoids(motion), None if motion is None else motion.cover)
         for name, motion in motions.items()

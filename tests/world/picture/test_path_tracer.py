@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import map_coordinates
 from small_scenes import SPLAT, beads, block, changed, faced, finger, measured, mitsuba, rest_of, seen_at
 
-from twin.errors import MissingCapability, RecipeError
+from twin.errors import InputError, MissingCapability, RecipeError
 from twin.parts.camera import Camera
 from twin.parts.material import Cover
 from twin.study.export_scene import export_scene
@@ -279,9 +279,13 @@ def test_a_press_moves_the_triangles_of_its_markers(tmp_path):
     assert_allclose(pressed - rest, sensor.motion(sensor.press().load).displacement_mm, atol=1e-4)
 
 
-def test_a_scene_without_a_camera_is_refused(tmp_path):
+def test_a_scene_without_a_camera_is_refused_and_a_file_for_a_folder_before_a_sensor_is_made(tmp_path, monkeypatch):
     with pytest.raises(RecipeError, match=r"no \[camera\] table"):
         export_scene(load_scene("block_bare"), tmp_path)
+    monkeypatch.setattr("twin.study.export_scene.Sensor", None)
+    (tmp_path / "taken").touch()
+    with pytest.raises(InputError, match="there is a file of that name"):
+        export_scene(block(), tmp_path / "taken")
 
 
 @pytest.mark.parametrize("keys", [{"exponent": 2.0}, {"profile": ((0.0, 1.0), (60.0, 0.0))}])
