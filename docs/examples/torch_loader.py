@@ -14,30 +14,22 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader, Subset
+from torch.utils.data import DataLoader
 
 import twin
 
 
 def loader(
-    folder: str, labels: Sequence[str] = ("force_n",), split: str | None = None, batch_size: int = 32, workers: int = 2
+    folder: str, labels: Sequence[str] = ("force_n",), split: str = "all", batch_size: int = 32, workers: int = 2
 ) -> DataLoader:
     """Return a loader of {"picture", "rest": (b, 3, h, w) in 0..1, and every label: (b, ...)}.
 
     ``rest`` is the picture of the same made sensor without load. Feed a network the difference: markers move by some
     pixels at most, and where they rest differs from sensor to sensor.
 
-    ``split`` is "train" or "test": by the column ``split`` of a dataset of sequences, else every fifth made sensor,
-    from the second on, is for tests, since samples of one sensor share its errors.
+    ``split`` is "train", "test", or "all", as for `twin.open_dataset`.
     """
-    known = twin.open_dataset(folder).columns
-    rows = twin.open_dataset(folder, ["status", "split" if "split" in known else "sensor"])
-    good = [number for number, row in enumerate(rows) if row["status"] == "ok" and split in (None, _split(row))]
-    if not good:
-        raise SystemExit(
-            f"{folder}: no sample of split {split}: it takes two made sensors, or sequences; make more samples"
-        )
-    data = twin.open_dataset(folder, ["picture", "sensor", *labels])
+    data = twin.open_dataset(folder, ["picture", "sensor", *labels], split=split)
 
     def scaled(pictures: list[np.ndarray]) -> torch.Tensor:
         stacked = np.stack(pictures).transpose(0, 3, 1, 2)
@@ -48,11 +40,7 @@ def loader(
         rest = [data.sensor(s["sensor"])["picture"] for s in samples]
         return {"picture": scaled([s["picture"] for s in samples]), "rest": scaled(rest), **made}
 
-    return DataLoader(Subset(data, good), batch_size=batch_size, shuffle=True, num_workers=workers, collate_fn=batch)
-
-
-def _split(row: dict[str, object]) -> object:
-    return row["split"] if "split" in row else ("test" if row["sensor"] % 5 == 1 else "train")
+    return DataLoader(data, batch_size=batch_size, shuffle=True, num_workers=workers, collate_fn=batch)
 
 
 if __name__ == "__main__":

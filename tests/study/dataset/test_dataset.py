@@ -176,9 +176,9 @@ def test_stratified_draws_are_more_even_than_random_ones() -> None:
     assert spread["random"] > 1.0
 
 
-def test_a_failing_sample_is_a_row_with_its_error(tmp_path: Path) -> None:
+def test_a_failing_sample_is_a_row_with_its_error_and_in_no_part(tmp_path: Path) -> None:
     far = {"press.at_mm": {"choice": [[0.0, 0.0], [60.0, 0.0]]}}
-    done = make(tmp_path / "d", 8, small_scene(vary=far))
+    done = make(tmp_path / "d", 8, small_scene(vary=far, dataset__samples_per_sensor=1))
     assert 0 < done.failed < 8
     data = twin.open_dataset(tmp_path / "d")
     bad = [row for row in data if row["status"] == "failed"]
@@ -186,6 +186,14 @@ def test_a_failing_sample_is_a_row_with_its_error(tmp_path: Path) -> None:
     assert all("misses" in row["error"] or "outside" in row["error"] for row in bad), bad[0]["error"]
     assert all(row["force_n"] is None for row in bad)
     assert len(data.column("force_n")) == 8 - done.failed
+    good = [row["index"] for row in data if row["status"] == "ok"]
+    tests = [index for index in good if index in (1, 6)]  # a sensor each: every fifth from the second on
+    assert tests
+    parts = {"all": good, "test": tests, "train": [index for index in good if index not in tests]}
+    for name, numbers in parts.items():
+        part = twin.open_dataset(tmp_path / "d", ["index"], split=name)
+        assert len(part) == len(numbers)
+        assert [row["index"] for row in part] == part.column("index").tolist() == numbers
 
 
 @pytest.mark.slow
@@ -309,6 +317,8 @@ def test_a_reader_reads_what_is_asked_for_and_travels_to_other_processes(made: P
             ask()
     with pytest.raises(IndexError):
         data[4]
+    with pytest.raises(InputError, match="split = 'tset': must be one of train, test, all"):
+        twin.open_dataset(made, split="tset")
     with pytest.raises(InputError, match="no dataset"):
         twin.open_dataset(made / "data")
 
@@ -339,6 +349,8 @@ def test_every_step_of_a_path_can_be_kept(tmp_path: Path) -> None:
     assert [(row["index"], row["step"]) for row in data] == [(0, 0), (0, 1)]
     assert np.hypot(*data[1]["force_n"][:2]) == pytest.approx(0.15, rel=1e-6)
     np.testing.assert_allclose(data[0]["force_n"][:2], 0, atol=1e-9)
+    with pytest.raises(InputError, match=r"no sample to test: it takes .* two made sensors"):
+        twin.open_dataset(tmp_path / "d", split="test")
 
 
 @pytest.mark.slow
@@ -357,6 +369,7 @@ def test_a_sequence_is_filmed_and_stays_together(tmp_path: Path) -> None:
     make(tmp_path / "still", 5, still)
     make(tmp_path / "moving", 1, moving)
     rows = list(twin.open_dataset(tmp_path / "still"))
+    assert {row["index"] for row in twin.open_dataset(tmp_path / "still", split="test")} == {4}
     assert [(row["index"], row["split"]) for row in rows[3::4]] == [*[(n, "train") for n in range(4)], (4, "test")]
     np.testing.assert_allclose([row["time_s"] for row in rows[:4]], [0.02, 0.04, 0.06, 0.08])
     np.testing.assert_allclose([row["force_n"][2] for row in rows[:4]], [0.25, 0.5, 0.5, 0.5], rtol=1e-6)

@@ -49,22 +49,18 @@ def export_dataset(
         raise InputError(
             f"--format {form}: must be one of {', '.join(FORMATS)}, or mitsuba for a scene"
         )
-    reader = DatasetReader(folder, decode=form == "hdf5")
+    reader = DatasetReader(folder, split="all", decode=form == "hdf5")
     make_folder(out)
     write = {"hdf5": _hdf5, "coco": _coco, "webdataset": _webdataset}[form]
     return write(reader, out, progress)
 
 
 def _samples(reader: DatasetReader, progress: Progress | None) -> Iterator[tuple[int, Any]]:
-    """Yield the samples that did not fail, counted from 0."""
-    number = 0
-    for row in range(len(reader)):
-        sample = reader[row]
+    """Yield the samples, counted from 0."""
+    for number, sample in enumerate(reader):
         if progress is not None:
-            progress(f"{row}/{len(reader)} rows", row / len(reader))
-        if sample["status"] == "ok":
-            yield number, sample
-            number += 1
+            progress(f"{number}/{len(reader)} rows", number / len(reader))
+        yield number, sample
     if progress is not None:
         progress("done", 1.0)
 
@@ -74,8 +70,6 @@ def _hdf5(reader: DatasetReader, out: Path, progress: Progress | None) -> list[P
         import h5py
     except ImportError:
         raise MissingCapability("HDF5 needs h5py: pip install h5py") from None
-    status = reader.table(["status"])["status"].to_pylist()
-    count = status.count("ok")
     path = out / "dataset.hdf5"
     part = out / f".dataset.hdf5.{os.getpid()}.part"
     names = {"picture": "tactile/rgb", "marker_displacement_mm": "tactile/marker_displacement"}
@@ -92,7 +86,7 @@ def _hdf5(reader: DatasetReader, out: Path, progress: Progress | None) -> list[P
                     values["tactile/marker"] = np.stack([rest, sample["marker_pressed_px"]])
                 for name, value in values.items():
                     if name not in sets:
-                        sets[name] = _room(file, name, value, count)
+                        sets[name] = _room(file, name, value, len(reader))
                     _put(sets[name], number, value)
             rests = [reader.sensor(n) for n in reader.sensor_numbers]
             for name, first in rests[0].items() if rests else ():

@@ -45,6 +45,9 @@ _FIXED = (
 )
 """What can't vary inside a dataset: it has one mesh, one accuracy and one format."""
 
+TEST_EACH = 5
+"""One sequence, or one made sensor, in so many is of the test part."""
+
 MOST_STEPS = 1024
 
 AUDITS, AUDIT_EVERY = 100, 100

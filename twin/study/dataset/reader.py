@@ -14,19 +14,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats, Picture, Pixels, Points, nice
+from twin.arrays import Floats, Ints, Picture, Pixels, Points, nice
 from twin.errors import InputError, did_you_mean
 from twin.files import LARGEST_PX, picture_of_png, write_whole
 from twin.parts.camera import Camera
 from twin.show import html_page
 from twin.show.html_page import small_picture, two_columns
-from twin.study.dataset.plan import Places
+from twin.study.dataset.plan import TEST_EACH, Places
 from twin.theory.optics import project
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 _SHAPES = {"vectors": 3, "pixels": 2}
+
+_SPLITS = ("train", "test", "all")
 
 
 class DatasetReader:
@@ -41,17 +43,24 @@ class DatasetReader:
         Of the dataset, finished or not: what is there is read.
     columns
         Those of the samples that are wanted; all if not given.
+    split
+        See `open_dataset`.
     decode
         Whether pictures come as arrays; else as the PNG files' bytes.
 
     Raises
     ------
     InputError
-        It is no dataset, or has no such column.
+        It is no dataset, or has no such column or part.
     """
 
     def __init__(
-        self, folder: Path | str, columns: Sequence[str] | None = None, *, decode: bool = True
+        self,
+        folder: Path | str,
+        columns: Sequence[str] | None = None,
+        *,
+        split: str | None = None,
+        decode: bool = True,
     ) -> None:
         import pyarrow.parquet as pq
 
@@ -70,6 +79,9 @@ class DatasetReader:
         self._group: tuple[tuple[int, int], Any] | None = None
         self._sensors: dict[int, dict[str, Any]] | None = None
         self._base_z_mm: float | None = None
+        self._rows: Ints = np.arange(self._starts[-1])
+        if split is not None:
+            self._rows = self._rows_of(split)
 
     def __repr__(self) -> str:
         return f"DatasetReader({self.places.folder}, {len(self)} rows of {', '.join(self.columns)})"
@@ -115,13 +127,14 @@ class DatasetReader:
             return np.array(image) if deep is None else deep
 
     def __len__(self) -> int:
-        return self._starts[-1]
+        return len(self._rows)
 
     def __getitem__(self, row: int) -> dict[str, Any]:
         row = operator.index(row)  # a TypeError, as for a list
         number = row + len(self) if row < 0 else row
         if not 0 <= number < len(self):
             raise IndexError(f"row {row}: the dataset has {len(self)}")
+        number = int(self._rows[number])
         file = bisect.bisect_right(self._starts, number) - 1
         with self.readable(self._files[file]):
             table, first = self._rows_near(file, number - self._starts[file])
@@ -160,7 +173,29 @@ class DatasetReader:
         wanted = list(dict.fromkeys(columns if columns is not None else self.columns))
         self._known(wanted)
         with self.readable(self.places.data):
-            return pq.read_table([str(file) for file in self._files], columns=wanted)
+            table = pq.read_table([str(file) for file in self._files], columns=wanted)
+        return table if len(self) == len(table) else table.take(self._rows)
+
+    def _rows_of(self, split: str) -> Ints:
+        """Return the rows of a part's samples that did not fail."""
+        if split not in _SPLITS:
+            raise InputError(f"split = '{split}': must be one of {', '.join(_SPLITS)}")
+        in_sequences = "split" in self._kinds
+        table = self.table(["status", "split" if in_sequences else "sensor"])
+        good = np.array(table["status"].to_pylist()) == "ok"
+        if split == "all":
+            return np.flatnonzero(good)
+        if in_sequences:
+            part = np.array(table["split"].to_pylist())
+        else:
+            part = np.where(table["sensor"].to_numpy() % TEST_EACH == 1, "test", "train")
+        rows = np.flatnonzero(good & (part == split))
+        if not len(rows):
+            raise InputError(
+                f"{self.places.folder}: has no sample to {split}: it takes five sequences, or two "
+                "made sensors (-s dataset.samples_per_sensor=20 makes one for 20 samples)"
+            )
+        return rows
 
     def _known(self, names: Sequence[str]) -> None:
         """Refuse columns that the samples don't have, each with the nearest that they have."""
@@ -258,7 +293,9 @@ class DatasetReader:
         return f"{page}: {len(rows)} of {len(self)} samples"
 
 
-def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> DatasetReader:
+def open_dataset(
+    folder: Path | str, columns: Sequence[str] | None = None, *, split: str | None = None
+) -> DatasetReader:
     """Open a dataset made by ``twin dataset``.
 
     Parameters
@@ -267,6 +304,10 @@ def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> Da
         Where it is.
     columns
         Those that are wanted; all if not given. What is not wanted is not read.
+    split
+        ``"train"``, ``"test"``, or ``"all"`` for both, without the samples that failed. Of samples
+        that are sequences, every fifth is for tests, whole; else every fifth made sensor, from the
+        second on, as samples of one sensor share its errors. Every row if not given.
 
     Returns
     -------
@@ -280,8 +321,9 @@ def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> Da
     >>> import twin
     >>> data = twin.open_dataset("data/flat", ["force_n"])  # doctest: +SKIP
     >>> len(data), data[0]["force_n"]  # doctest: +SKIP
+    >>> train = twin.open_dataset("data/flat", split="train")  # doctest: +SKIP
     """
-    return DatasetReader(folder, columns)
+    return DatasetReader(folder, columns, split=split)
 
 
 def _value(scalar: Any, kind: str, decode: bool = True) -> Any:

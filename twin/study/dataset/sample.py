@@ -35,7 +35,7 @@ from twin.parts.shape import StlFile
 from twin.study.batch.draw import Table, with_values
 from twin.study.batch.pool import Pool
 from twin.study.dataset.columns import Column, in_cells
-from twin.study.dataset.plan import MOST_STEPS, Plan
+from twin.study.dataset.plan import MOST_STEPS, TEST_EACH, Plan
 from twin.study.film import Exposures, at_frames
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
@@ -63,9 +63,6 @@ _BEST = 1e-4
 
 _WHOLE = 0.98
 """Share of an outline that must be seen for its centroid to be compared."""
-
-_TEST_EACH = 5
-"""One sample in so many is of the test part."""
 
 _FINEST = 12
 """Rays per pixel and direction of the outlines that others are compared with."""
@@ -209,7 +206,7 @@ def _rows(made: _MadeSensor, sample: int, press: Press) -> list[_Row]:
             "linearisation_error": one.validity.linearisation_error,
             "surface_slip": one.slips,
             "slip_share": one.slip_share,
-            "split": "test" if sample % _TEST_EACH == _TEST_EACH - 1 else "train",
+            "split": "test" if sample % TEST_EACH == TEST_EACH - 1 else "train",
         }
         picture = None
         if film is not None:
