@@ -226,8 +226,8 @@ class Factors:
 
     def sums(self, rows: Floats, data: Floats, weight: float) -> Floats:
         """Return (c, q) ``rows`` (q, 3k) times the forces of (c, m) whitened data."""
-        moves = (rows @ self.back * self._filtered(weight)) @ self.left.T
-        return np.asarray(self.filled(data.T, weight).T @ moves.T)
+        _, along = self._completed(data.T, weight)
+        return np.asarray(((rows @ self.back * self._filtered(weight)) @ along).T)
 
     def filled(self, data: Floats, weight: float) -> Floats:
         """Return (m,) or (m, q) data of which the usual solution is the weighted one; lost data
