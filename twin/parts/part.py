@@ -7,6 +7,8 @@ the random streams of a recipe's seed are here too.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Collection, Mapping, Sequence
 from enum import IntEnum
 from functools import cache
@@ -91,6 +93,11 @@ def identity(value: Any) -> Any:
         kept = {k: v for k, v in value.items() if k not in ("source", "assumed")}
         return {k: identity(v) for k, v in kept.items() if k not in LATER or v != LATER[k]}
     return [identity(v) for v in value] if isinstance(value, list) else value
+
+
+def hash_of(table: dict[str, Any]) -> str:
+    """Return the SHA-256 of a table's `identity`, in hexadecimal."""
+    return hashlib.sha256(json.dumps(identity(table), sort_keys=True).encode()).hexdigest()
 
 
 def unit_of(key: str) -> str:

@@ -158,7 +158,8 @@ class Calibration:
                 json.loads(getattr(self, name))
             except (ValueError, RecursionError) as problem:
                 raise InputError(f"calibration: {name} must be JSON text ({problem})") from None
-        self.relaxation, self.scale_error, self.mesh_error  # noqa: B018  bad ones are refused here
+        for checked in ("relaxation", "scale_error", "mesh_error", "_camera_error"):
+            getattr(self, checked)  # bad ones are refused here
         if self.has_camera:
             self._optics  # noqa: B018  a bad camera is refused here
 
@@ -240,13 +241,7 @@ class Calibration:
         The deviations stand in `provenance`, as ``camera_error``: those of a coordinate, mm, and of
         a turn, deg.
         """
-        found = self.facts.get("camera_error", (0.0, 0.0))
-        if not (
-            isinstance(found, list | tuple)
-            and len(found) == 2
-            and all(isinstance(one, int | float) and 0.0 <= one <= 10.0 for one in found)
-        ):
-            raise InputError(f"calibration: camera_error = {found!r} must be two numbers up to 10")
+        found = self._camera_error
         if not (self.has_camera and any(found)):
             return np.zeros((0, len(self.layer), 2, 3))
         camera, index, base = self._optics
@@ -256,6 +251,17 @@ class Calibration:
             other = camera.deviating(base, moved[:3], moved[3:], 0.0, 0.0)
             changes.append(project_with_jacobian(self.marker_mm, other, index, base)[1] - drawn)
         return frozen(np.nan_to_num(np.stack(changes)))
+
+    @property
+    def _camera_error(self) -> tuple[float, float]:
+        found = self.facts.get("camera_error", (0.0, 0.0))
+        if not (
+            isinstance(found, list | tuple)
+            and len(found) == 2
+            and all(isinstance(one, int | float) and 0.0 <= one <= 10.0 for one in found)
+        ):
+            raise InputError(f"calibration: camera_error = {found!r} must be two numbers up to 10")
+        return found[0], found[1]
 
     @cached_property
     def calibrated(self) -> Bools:

@@ -350,8 +350,6 @@ THRESHOLD = 4.0
 """Residual length, over its scale, beyond which the loss is linear and, in the end, a vector is
 left out."""
 
-TINY = float(np.finfo(float).tiny)
-
 RAYLEIGH_MEDIAN = 1.1774
 """Median length of a vector of two normal components, over their standard deviation."""
 
@@ -446,7 +444,7 @@ class _Linear:
             taken = problem.factors.sums(known.total_rows, data, self.weight)
         size = np.linalg.norm(known.total_rows[:3] @ force.ravel())
         share = np.linalg.norm(force, axis=1, keepdims=True)
-        centre = (share * known.site_mm).sum(axis=0) / max(float(share.sum()), TINY)
+        centre = (share * known.site_mm).sum(axis=0) / max(float(share.sum()), np.finfo(float).tiny)
         levers = [np.ones(3), np.hypot(np.roll(centre, -1), np.roll(centre, -2))]
         by_mesh = known.mesh_error * size * np.concatenate(levers)
         return np.asarray(np.sqrt((taken**2).sum(axis=0) + by_mesh**2))

@@ -11,7 +11,6 @@ z and by small motions sideways. docs/own_sensor.md has the files of a real sens
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import sys
@@ -29,7 +28,7 @@ from twin.errors import ContactError, InputError, RecipeError
 from twin.files import cache_folder, kept_if_possible, make_folder
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
-from twin.parts.part import Purpose, identity
+from twin.parts.part import Purpose, hash_of
 from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
 from twin.study.frames import PICTURES, read_numbers, read_picture
@@ -250,14 +249,14 @@ def _sensor_digest(scene: Scene) -> str:
     table = _by_linear_theory(scene).model_dump(mode="json", exclude=others)
     table["calibration"].pop("file")
     table["reconstruction"] = table["reconstruction"]["sites"]
-    return hashlib.sha256(json.dumps(identity(table), sort_keys=True).encode()).hexdigest()
+    return hash_of(table)
 
 
 def _as_computed(scene: Scene) -> str:
     """Return a hash of how exactly, and by which renderer, the presses of a calibration are
     computed: those of one sensor are stored under it. A file is taken by whatever it was made."""
     table = scene.model_dump(mode="json", include={"accuracy", "renderer"})
-    return hashlib.sha256(json.dumps(identity(table), sort_keys=True).encode()).hexdigest()[:16]
+    return hash_of(table)[:16]
 
 
 def _by_linear_theory(scene: Scene) -> Scene:

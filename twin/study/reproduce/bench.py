@@ -25,7 +25,7 @@ from twin.arrays import Floats, Picture, Progress
 from twin.judge.score import force_score, into_cells
 from twin.parts.load import Load, Traction
 from twin.parts.methods import CentreMethod, Method
-from twin.parts.part import Purpose, identity
+from twin.parts.part import Purpose, hash_of
 from twin.parts.press import Cylinder, Press, Sphere, Step
 from twin.parts.scene import Scene
 from twin.parts.sweep import GF
@@ -486,7 +486,7 @@ def _mean_numbers(runs: Sequence[Numbers]) -> Numbers:
 
 def _hash(scene: Scene) -> str:
     table = scene.model_dump(mode="json", include=set(SENSOR_KEYS))
-    return hashlib.sha256(json.dumps(identity(table), sort_keys=True).encode()).hexdigest()
+    return hash_of(table)
 
 
 @dataclass(frozen=True, kw_only=True)
