@@ -22,6 +22,7 @@ import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -218,142 +219,219 @@ def _only(result: RunResult, wanted: frozenset[str]) -> RunResult:
 def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -> RunResult:
     """Compute what is needed; with ``keep_last`` a step without equilibrium leaves the state before
     it."""
-    scene = sensor.nominal
-    timings: dict[str, float] = {}
-    stages = [name for name, needs in _STAGES.items() if needs in needed]
+    stages = _Stages(sensor, needed)
+    stages.press(keep_last)
+    if "picture" in needed:
+        stages.pictures()
+    if "tracking" in needed:
+        stages.track()
+    if "forces" in needed:
+        stages.reconstruct()
+    stages.judge_truth()
+    return stages.result(stages.score())
+
+
+class _Stages:
+    """The stages of one run, in the order in which they are called, and what each found.
+
+    Attributes
+    ----------
+    state, ends_s
+        The press, None of given tractions, and the times at which its parts end, s, None without
+        frames.
+    rest, pressed, found, calibration, field
+        Pictures, shifts, calibration and forces: None where they aren't needed or failed.
+    bound_px
+        `View.noise_bound` of the markers; None without pictures.
+    failures
+        Why the sensor's software found nothing, by the name of the missing result.
+    """
+
+    def __init__(self, sensor: Sensor, needed: frozenset[str]) -> None:
+        self.sensor = sensor
+        self.scene = sensor.nominal
+        self.needed = needed
+        self.timings: dict[str, float] = {}
+        self.failures: dict[str, str] = {}
+        self.state: ContactState | None = None
+        self.ends_s: Floats | None = None
+        self.rest: Picture | None = None
+        self.pressed: Picture | None = None
+        self.found: Found | None = None
+        self.calibration: Calibration | None = None
+        self.field: Field | None = None
+        self.bound_px: Floats | None = None
+        self._names = [name for name, needs in _STAGES.items() if needs in needed]
 
     @contextmanager
-    def stage(name: str) -> Iterator[None]:
-        if sensor.progress is not None:
-            sensor.progress(name, stages.index(name) / len(stages))
+    def _stage(self, name: str) -> Iterator[None]:
+        """Say that a stage begins, and keep how long it takes."""
+        if self.sensor.progress is not None:
+            self.sensor.progress(name, self._names.index(name) / len(self._names))
         started = time.perf_counter()
         yield
-        timings[name] = time.perf_counter() - started
+        self.timings[name] = time.perf_counter() - started
 
-    # Refuse what can't be rendered on this machine before anything is solved.
-    with stage("design"):
-        if "picture" in needed:
-            from twin.world.picture.backend import Variant
+    def press(self, keep_last: bool) -> None:
+        """Compute the truth: the load of the press, or given tractions, and the markers' motion."""
+        sensor, scene = self.sensor, self.scene
+        # Refuse what can't be rendered on this machine before anything is solved.
+        with self._stage("design"):
+            if "picture" in self.needed:
+                from twin.world.picture.backend import Variant
 
-            Variant.check_machine(scene)
-    # The truth: the load of the press, or given tractions, and the motion of the markers.
-    state = None
-    ends_s = None
-    with stage("contact"):
-        if scene.press is not None and not scene.tractions:
-            press, ends_s = _at_rate(scene, scene.press)
-            state = _pressed(sensor, press, keep_last)
-        load = scene.load if state is None else state.load
-    with stage("displacement"):
-        motion = sensor.motion(load)
-    patches = sensor.rectangles(load)
-    truth = _truth(sensor, motion, patches)
-    # The pictures, and the shifts that the software finds in them.
-    rest = pressed = found = None
-    failures: dict[str, str] = {}
-    if "picture" in needed:
-        with stage("rest picture"):
-            rest = sensor.picture(None)
-        with stage("pressed picture"):
-            pressed = sensor.picture(motion)
-        with stage("outlines"):
-            truth = _with_outlines(sensor, truth, motion)
-        if "tracking" in needed:
-            from twin.sense.track import track
+                Variant.check_machine(scene)
+        with self._stage("contact"):
+            if scene.press is not None and not scene.tractions:
+                press, self.ends_s = _at_rate(scene, scene.press)
+                self.state = _pressed(sensor, press, keep_last)
+            load = scene.load if self.state is None else self.state.load
+        with self._stage("displacement"):
+            self.motion = sensor.motion(load)
+        self.patches = sensor.rectangles(load)
+        self.truth = _truth(sensor, self.motion, self.patches)
 
-            with stage("tracking"):
-                COMPILING.wait_for_second()
-                try:
-                    found = track(rest, pressed, sensor.layout_px, method=scene.tracking.method)
-                except InputError as problem:  # truth and pictures are still useful
-                    failures |= {"tracking": str(problem), "force": "nothing was tracked"}
-    # The forces that the software computes, which may be none.
-    calibration = forces = None
-    if "forces" in needed and found is not None and scene.reconstruction is not None:
+    def pictures(self) -> None:
+        """Draw the rest and the pressed picture, and add the true outlines in them to the truth."""
+        with self._stage("rest picture"):
+            self.rest = self.sensor.picture(None)
+        with self._stage("pressed picture"):
+            self.pressed = self.sensor.picture(self.motion)
+        with self._stage("outlines"):
+            self.truth = _with_outlines(self.sensor, self.truth, self.motion)
+        self.bound_px = View.noise_bound(self.scene)
+
+    def track(self) -> None:
+        """Find the markers' shifts in the pictures; where that fails, truth and pictures stay."""
+        from twin.sense.track import track
+
+        assert self.rest is not None
+        assert self.pressed is not None
+        method = self.scene.tracking.method
+        with self._stage("tracking"):
+            COMPILING.wait_for_second()
+            try:
+                self.found = track(self.rest, self.pressed, self.sensor.layout_px, method=method)
+            except InputError as problem:
+                self.failures |= {"tracking": str(problem), "force": "nothing was tracked"}
+
+    def reconstruct(self) -> None:
+        """Compute the forces from the shifts, if there are any."""
+        if self.found is None or self.scene.reconstruction is None:
+            return
         from twin.sense.reconstruct import reconstruct
         from twin.study.calibrate import calibration_of
 
-        with stage("calibration"):
-            calibration = calibration_of(sensor)
-        with stage("reconstruction"):
+        with self._stage("calibration"):
+            self.calibration = calibration_of(self.sensor)
+        with self._stage("reconstruction"):
             try:
-                forces = reconstruct(found, calibration, **scene.reconstruction.options())
-                if state is not None and ends_s is not None and rest is not None:
-                    forces = _relaxed(sensor, forces, rest, state, ends_s, calibration)
+                options = self.scene.reconstruction.options()
+                field = reconstruct(self.found, self.calibration, **options)
+                if self.state is not None and self.ends_s is not None and self.rest is not None:
+                    field = _relaxed(
+                        self.sensor, field, self.rest, self.state, self.ends_s, self.calibration
+                    )
+                self.field = field
             except InputError as problem:
-                failures["force"] = str(problem)
-    estimate = _estimate(found, forces)
-    # How far the truth itself is off, and how far linear theory carries.
-    if state is not None:
-        with stage("contact error"):
-            state.error  # noqa: B018  computed at first use
-        if "score" in needed:
-            with stage("linearity"):
-                state = replace(state, validity=sensor.validity(state))
-    # The errors by stage.
-    with stage("score"):
+                self.failures["force"] = str(problem)
+
+    @cached_property
+    def estimate(self) -> Estimate | None:
+        """What the sensor's software found; None where it tracked nothing."""
+        return _estimate(self.found, self.field)
+
+    def judge_truth(self) -> None:
+        """Estimate how far the truth itself is off, and how far linear theory carries."""
+        if self.state is None:
+            return
+        with self._stage("contact error"):
+            self.state.error  # noqa: B018  computed at first use
+        if "score" in self.needed:
+            with self._stage("linearity"):
+                self.state = replace(self.state, validity=self.sensor.validity(self.state))
+
+    def score(self) -> dict[str, Any]:
+        """Return the errors by stage."""
         from twin.judge.score import force_score, score, tracking_score
 
-        bound_px = View.noise_bound(scene) if "picture" in needed else None
-        tracking = force = None
-        if estimate is not None:
-            shift_px = truth.marker_outline_pressed_px - truth.marker_outline_rest_px
-            tracking = tracking_score(
-                estimate.marker_shift_px, shift_px, truth.marker_visible, bound_px=bound_px
+        with self._stage("score"):
+            tracking = force = None
+            truth = self.truth
+            if (estimate := self.estimate) is not None:
+                shift_px = truth.marker_outline_pressed_px - truth.marker_outline_rest_px
+                tracking = tracking_score(
+                    estimate.marker_shift_px, shift_px, truth.marker_visible, bound_px=self.bound_px
+                )
+                if len(estimate.site_mm):
+                    frames = None if self.calibration is None else self.calibration.site_frames
+                    force = force_score(estimate, self.patches, frames)
+            in_time = self.ends_s is not None
+            errors = score(
+                elastic=_elastic_errors(truth, self.motion, self.state, in_time=in_time),
+                tracking=tracking,
+                force=force,
             )
-            if len(estimate.site_mm):
-                frames = None if calibration is None else calibration.site_frames
-                force = force_score(estimate, patches, frames)
-        errors = score(
-            elastic=_elastic_errors(truth, motion, state, in_time=ends_s is not None),
-            tracking=tracking,
-            force=force,
+            errors["reasons"] |= self.failures
+        return errors
+
+    def result(self, errors: dict[str, Any]) -> RunResult:
+        """Return all that was found, with ``errors`` of `score`."""
+        return RunResult(
+            scene_toml=self.scene.to_toml(),
+            truth=self.truth,
+            estimate=self.estimate,
+            rest=self.rest,
+            pressed=self.pressed,
+            score=errors,
+            touches=_touches(self.scene, self.state),
+            facts=self._facts(errors),
+            timings=self.timings,
         )
-        errors["reasons"] |= failures
-    # What the report and the summary show with them.
-    facts: dict[str, Any] = {"seed": scene.seed, "shared": _shared_by_truth_and_estimate(scene)}
-    warned = doubts(scene)
-    if "picture" in needed and (state is not None or scene.tractions):
-        shift_px = truth.marker_pressed_px - truth.marker_rest_px
-        noise_px = (tracking or {}).get("sd_px")
-        if bound_px is not None and np.isfinite(bound_px).any():
-            noise_px = float(np.nanmedian(bound_px))
-        warned += _unseen(scene, shift_px, noise_px)
-    if "picture" in needed and scene.light is not None and ends_s is None:
-        warned += scene.light.turns()
-    if warned := [*warned, *_tracking_doubt(tracking, found)]:
-        facts["warnings"] = warned
-    if failures:
-        facts["failed"] = failures
-    if state is not None:
-        facts |= _press_facts(state) | _course(scene, state, ends_s)
-    if state is not None and forces is not None and "creep_error" in errors["elastic"]:
-        notes = facts["validity"]["notes"]
-        facts["validity"]["notes"] = (
-            *notes,
-            "one picture doesn't show what the rubber remembers: forces are found as if it didn't "
-            f"relax, {100 * errors['elastic']['creep_error']:.2g} % off by that alone. "
-            "reconstruction.frames_per_second follows the press in frames",
-        )
-    if calibration is not None and forces is not None:
-        sites = len(calibration.site_mm)
-        facts["calibration"] = {"method": scene.calibration.method, "sites": sites}
-        facts["weight"] = forces.weight
-    if "picture" in needed:
-        facts["renderer"] = sensor.renderer.drawn_by
-        if sensor.saturation is not None:
-            facts["picture_warnings"] = [sensor.saturation]
-    return RunResult(
-        scene_toml=scene.to_toml(),
-        truth=truth,
-        estimate=estimate,
-        rest=rest,
-        pressed=pressed,
-        score=errors,
-        touches=_touches(scene, state),
-        facts=facts,
-        timings=timings,
-    )
+
+    def _facts(self, errors: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the report and the summary show beside the errors."""
+        scene = self.scene
+        facts: dict[str, Any] = {
+            "seed": scene.seed,
+            "shared": _shared_by_truth_and_estimate(scene),
+        }
+        if warned := self._warnings(errors["tracking"]):
+            facts["warnings"] = warned
+        if self.failures:
+            facts["failed"] = self.failures
+        if self.state is not None:
+            facts |= _press_facts(self.state) | _course(scene, self.state, self.ends_s)
+            if self.field is not None and "creep_error" in errors["elastic"]:
+                facts["validity"]["notes"] += (
+                    "one picture doesn't show what the rubber remembers: forces are found as if it "
+                    f"didn't relax, {100 * errors['elastic']['creep_error']:.2g} % off by that "
+                    "alone. reconstruction.frames_per_second follows the press in frames",
+                )
+        if self.calibration is not None and self.field is not None:
+            sites = len(self.calibration.site_mm)
+            facts["calibration"] = {"method": scene.calibration.method, "sites": sites}
+            facts["weight"] = self.field.weight
+        if "picture" in self.needed:
+            facts["renderer"] = self.sensor.renderer.drawn_by
+            if self.sensor.saturation is not None:
+                facts["picture_warnings"] = [self.sensor.saturation]
+        return facts
+
+    def _warnings(self, tracking: Mapping[str, Any] | None) -> list[str]:
+        """Return what is doubtful in the scene, its pictures and its tracking."""
+        scene = self.scene
+        warned = list(doubts(scene))
+        if "picture" in self.needed:
+            if self.state is not None or scene.tractions:
+                shift_px = self.truth.marker_pressed_px - self.truth.marker_rest_px
+                noise_px = (tracking or {}).get("sd_px")
+                if self.bound_px is not None and np.isfinite(self.bound_px).any():
+                    noise_px = float(np.nanmedian(self.bound_px))
+                warned += _unseen(scene, shift_px, noise_px)
+            if scene.light is not None and self.ends_s is None:
+                warned += scene.light.turns()
+        return [*warned, *_tracking_doubt(tracking, self.found)]
 
 
 def _unseen(scene: Scene, shift_px: Pixels, noise_px: float | None) -> list[str]:
