@@ -23,7 +23,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.special import jv
 
-from twin.arrays import Floats, Points, for_kernel, grid_points
+from twin.arrays import Floats, Ints, Points, for_kernel, grid_points
 from twin.compiled import njit
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
@@ -43,6 +43,11 @@ _CELLS = 16
 _STENCIL = 6
 """Points of the interpolating polynomial along r and along z: order 6, a relative error of about
 _CELLS^-6."""
+
+_SCALE = np.array(
+    [1.0 / math.prod(i - j for j in range(_STENCIL) if j != i) for i in range(_STENCIL)]
+)
+"""What makes each of these polynomials one at its own point."""
 
 _NODES = 8
 """Grid nodes per thickness onto which the forces of a finely cut load are gathered."""
@@ -302,21 +307,40 @@ def _stencil(at: float, first: int, weight: Floats, slope: Floats) -> None:
         product, change = 1.0, 0.0
         for j in range(_STENCIL):
             if j != i:
-                change = (change * (at - first - j) + product) / (i - j)
-                product = product * (at - first - j) / (i - j)
-        weight[i], slope[i] = product, change
+                change = change * (at - first - j) + product
+                product *= at - first - j
+        weight[i], slope[i] = product * _SCALE[i], change * _SCALE[i]
 
 
 @njit(cache=True)
-def _place(r: float, z: float, weights: Floats) -> tuple[int, int]:
-    """Set ``weights`` (4, _STENCIL) along r and z, each with derivative; return the first
-    indices."""
-    along = r * _CELLS + _STENCIL // 2
+def _down(z: float, weights: Floats) -> int:
+    """Set ``weights`` (4, _STENCIL) along z, the last two; return the first index."""
     down = min(max(z, 0.0), 1.0) * _CELLS + _STENCIL // 2
-    i, j = int(along) - _STENCIL // 2 + 1, int(down) - _STENCIL // 2 + 1
-    _stencil(along, i, weights[0], weights[1])
+    j = int(down) - _STENCIL // 2 + 1
     _stencil(down, j, weights[2], weights[3])
-    return i, j
+    return j
+
+
+@njit(cache=True)
+def _along(
+    r: float, grid: Floats, j: int, depth: int, weights: Floats, level: Floats, known: Ints
+) -> int:
+    """Set ``weights`` along r, the first two, and what ``level`` (r, 2, 7), the grid's functions
+    and their slopes at depth number ``depth``, lacks of them; return the first index."""
+    along = r * _CELLS + _STENCIL // 2
+    first = int(along) - _STENCIL // 2 + 1
+    _stencil(along, first, weights[0], weights[1])
+    for i in range(first, first + _STENCIL):
+        if known[i] == depth:
+            continue
+        known[i] = depth
+        for c in range(7):
+            value, slope = 0.0, 0.0
+            for b in range(_STENCIL):
+                value += weights[2, b] * grid[i, j + b, c]
+                slope += weights[3, b] * grid[i, j + b, c]
+            level[i, 0, c], level[i, 1, c] = value, slope
+    return first
 
 
 @njit(cache=True)
@@ -329,11 +353,14 @@ def _compliance(
     x y, f4 x) under one along x.
     """
     weights = np.empty((4, _STENCIL))
+    level, known = np.empty((len(grid), 2, 7)), np.full(len(grid), -1)
     f = np.empty(5)
     u = np.empty((3, 3))
     n = np.empty(3)
     for q in range(len(points)):
         z = points[q, 2] / thickness
+        if q == 0 or points[q, 2] != points[q - 1, 2]:
+            depth, first_down = q, _down(z, weights)
         for t in range(len(centre)):
             x, y = (
                 (points[q, 0] - centre[t, 0]) / thickness,
@@ -349,14 +376,11 @@ def _compliance(
                         u[i, j] *= -0.25 / math.pi
             else:
                 # Near it: five functions of (r, z), interpolated from the grid.
-                i, j = _place(r, z, weights)
+                first = _along(r, grid, first_down, depth, weights, level, known)
                 for c in range(5):
                     f[c] = 0.0
-                for a in range(_STENCIL):
-                    for b in range(_STENCIL):
-                        share = weights[0, a] * weights[2, b]
-                        for c in range(5):
-                            f[c] += share * grid[i + a, j + b, c]
+                    for a in range(_STENCIL):
+                        f[c] += weights[0, a] * level[first + a, 0, c]
                 u[0, 0], u[1, 1], u[2, 2] = f[2] - f[3] * x * x, f[2] - f[3] * y * y, f[1]
                 u[0, 1] = u[1, 0] = -f[3] * x * y
                 u[0, 2], u[1, 2] = f[0] * x, f[0] * y
@@ -379,6 +403,7 @@ def _gradient(
 ) -> None:
     """Add dv_i/dx_j to ``out`` (n, 3, 3, m) and lambda div v to ``tension`` (n, m), for G = 1."""
     weights = np.empty((4, _STENCIL))
+    level, known = np.empty((len(grid), 2, 7)), np.full(len(grid), -1)
     g = np.empty((3, 3, 3))
     t = np.empty(3)
     f = np.empty(7)
@@ -388,6 +413,8 @@ def _gradient(
     area = thickness * thickness
     for q in range(len(points)):
         z = points[q, 2] / thickness
+        if q == 0 or points[q, 2] != points[q - 1, 2]:
+            depth, first_down = q, _down(z, weights)
         for s in range(len(centre)):
             x, y = (
                 (points[q, 0] - centre[s, 0]) / thickness,
@@ -403,16 +430,14 @@ def _gradient(
                         for j in range(3):
                             g[i, k, j] *= -0.25 / math.pi
             else:
-                i, j = _place(r, z, weights)
+                first = _along(r, grid, first_down, depth, weights, level, known)
                 for c in range(7):
                     f[c], r_slope[c], z_slope[c] = 0.0, 0.0, 0.0
                 for a in range(_STENCIL):
-                    for b in range(_STENCIL):
-                        for c in range(7):
-                            value = grid[i + a, j + b, c]
-                            f[c] += weights[0, a] * weights[2, b] * value
-                            r_slope[c] += _CELLS * weights[1, a] * weights[2, b] * value
-                            z_slope[c] += _CELLS * weights[0, a] * weights[3, b] * value
+                    for c in range(7):
+                        f[c] += weights[0, a] * level[first + a, 0, c]
+                        r_slope[c] += _CELLS * weights[1, a] * level[first + a, 0, c]
+                        z_slope[c] += _CELLS * weights[0, a] * level[first + a, 1, c]
                 _near(x, y, r, f, r_slope, z_slope, g, t)
             for case in range(force.shape[2]):
                 for k in range(3):

@@ -533,14 +533,18 @@ def _in_plane(nodes: Floats, load: Rectangles) -> Bools:
 
 def _balls(load: Rectangles) -> tuple[Points, Floats]:
     """Return centres (c, 3) and radii (c,) of balls around the separate groups of rectangles."""
+    from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     reach = np.linalg.norm(load.half_mm, axis=1)
-    pairs = cKDTree(load.centre_mm).sparse_distance_matrix(
-        cKDTree(load.centre_mm), 3.0 * float(reach.max()) + 1e-9
+    one, other = (
+        cKDTree(load.centre_mm)
+        .query_pairs(3.0 * float(reach.max()) + 1e-9, output_type="ndarray")
+        .T
     )
-    number, group = connected_components(pairs)
+    near = coo_array((np.ones(len(one)), (one, other)), shape=(len(load), len(load)))
+    number, group = connected_components(near, directed=False)
     centres, radii = np.empty((number, 3)), np.empty(number)
     for i in range(number):
         of_group = load.centre_mm[group == i]
@@ -599,7 +603,7 @@ def _add(at: _Quadrature, load: Rectangles, columns: Floats, nu: float, out: Flo
     _add_rows(*at, load.centre_mm, load.frames, half, columns, rows, nu, out)
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"reassoc", "contract", "nsz"})
 def _add_rows(
     points: Floats,
     areas: Floats,
@@ -647,7 +651,7 @@ def _add_rows(
                     out[nodes[q, a], i, case] += values[q, a] * total[i, case]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"reassoc", "contract", "nsz"})
 def _far(away: Floats, area: Floats, frame: Floats, half: Floats, nu: float, t: Floats) -> None:
     """Set t[i, j] to sigma n dA per unit force j, four point forces standing for the rectangle.
 
@@ -677,34 +681,30 @@ def _far(away: Floats, area: Floats, frame: Floats, half: Floats, nu: float, t: 
     z = max(frame[2, 0] * away[0] + frame[2, 1] * away[1] + frame[2, 2] * away[2], 0.0)
     ax = frame[0, 0] * area[0] + frame[0, 1] * area[1] + frame[0, 2] * area[2]
     ay = frame[1, 0] * area[0] + frame[1, 1] * area[1] + frame[1, 2] * area[2]
+    # Sum the plane part's two rows in the rectangle's frame.
+    xx, xy, xz, yx, yy, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    c = weight * 0.5 / math.pi
     for s in range(4):
         x, y = x0 - half[0] * GAUSS_2[s % 2], y0 - half[1] * GAUSS_2[s // 2]
         over_r = 1.0 / math.sqrt(x * x + y * y + z * z)
-        c, r3 = weight * 0.5 / math.pi, over_r * over_r * over_r
+        r3 = over_r * over_r * over_r
         over = 1.0 / (1.0 / over_r + z)
         p = over_r * over * over
         q, v = p * over_r * (over_r + 2.0 * over), over_r * over * over_r * (over_r + over)
         hxxx, hxxy = x * (3.0 * p - x * x * q), y * (p - x * x * q)
         hxyy, hyyy = x * (p - y * y * q), y * (3.0 * p - y * y * q)
         hxxz, hyyz, hxyz = over_r * over - x * x * v, over_r * over - y * y * v, -x * y * v
-        rows = (
-            (
-                x * ax * r3 - hxxx * ax - hxxy * ay,
-                y * ax * r3 - hxxy * ax - hxyy * ay,
-                z * ax * r3 - hxxz * ax - hxyz * ay,
-            ),
-            (
-                x * ay * r3 - hxxy * ax - hxyy * ay,
-                y * ay * r3 - hxyy * ax - hyyy * ay,
-                z * ay * r3 - hxyz * ax - hyyz * ay,
-            ),
-        )
-        for j in range(3):
-            b0, b1, b2 = frame[0, j], frame[1, j], frame[2, j]
-            on_x = c * (rows[0][0] * b0 + rows[0][1] * b1 + rows[0][2] * b2)
-            on_y = c * (rows[1][0] * b0 + rows[1][1] * b1 + rows[1][2] * b2)
-            for i in range(3):
-                t[i, j] += frame[0, i] * on_x + frame[1, i] * on_y
+        xx += c * (x * ax * r3 - hxxx * ax - hxxy * ay)
+        xy += c * (y * ax * r3 - hxxy * ax - hxyy * ay)
+        xz += c * (z * ax * r3 - hxxz * ax - hxyz * ay)
+        yx += c * (x * ay * r3 - hxxy * ax - hxyy * ay)
+        yy += c * (y * ay * r3 - hxyy * ax - hyyy * ay)
+        yz += c * (z * ay * r3 - hxyz * ax - hyyz * ay)
+    for j in range(3):
+        on_x = xx * frame[0, j] + xy * frame[1, j] + xz * frame[2, j]
+        on_y = yx * frame[0, j] + yy * frame[1, j] + yz * frame[2, j]
+        for i in range(3):
+            t[i, j] += frame[0, i] * on_x + frame[1, i] * on_y
 
 
 @njit(cache=True)
