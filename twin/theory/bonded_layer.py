@@ -176,12 +176,12 @@ class BondedLayer:
         # Share each point force among the nodes of its stencil: the polynomial's weights along
         # both axes.
         at = (centre[:, :2] - low[:2]) / step + _STENCIL // 2 - 1
-        first = np.floor(at).astype(int) - _STENCIL // 2 + 1
+        first = np.empty(at.shape, int)
         parts = np.empty((2, len(centre), _STENCIL))
         slope = np.empty(_STENCIL)
         for axis in range(2):
             for i in range(len(centre)):
-                _stencil(at[i, axis], first[i, axis], parts[axis, i], slope)
+                first[i, axis] = _stencil(at[i, axis], parts[axis, i], slope)
         shares = weight[:, None, None] * parts[0][:, :, None] * parts[1][:, None, :]
         reach = np.arange(_STENCIL)
         # Sum the shares by node and rectangle.
@@ -300,9 +300,10 @@ def _waves(k: Floats, z: float, nu: float) -> tuple[tuple[Floats, ...], tuple[Fl
 
 
 @njit(cache=True)
-def _stencil(at: float, first: int, weight: Floats, slope: Floats) -> None:
-    """Set weights, and derivatives, of the Lagrange polynomials of points ``first``, ``first`` + 1,
-    ..."""
+def _stencil(at: float, weight: Floats, slope: Floats) -> int:
+    """Set weights, and derivatives, of the Lagrange polynomials of the points around ``at``; return
+    the first point."""
+    first = math.floor(at) - _STENCIL // 2 + 1
     for i in range(_STENCIL):
         product, change = 1.0, 0.0
         for j in range(_STENCIL):
@@ -310,15 +311,7 @@ def _stencil(at: float, first: int, weight: Floats, slope: Floats) -> None:
                 change = change * (at - first - j) + product
                 product *= at - first - j
         weight[i], slope[i] = product * _SCALE[i], change * _SCALE[i]
-
-
-@njit(cache=True)
-def _down(z: float, weights: Floats) -> int:
-    """Set ``weights`` (4, _STENCIL) along z, the last two; return the first index."""
-    down = min(max(z, 0.0), 1.0) * _CELLS + _STENCIL // 2
-    j = int(down) - _STENCIL // 2 + 1
-    _stencil(down, j, weights[2], weights[3])
-    return j
+    return first
 
 
 @njit(cache=True)
@@ -327,9 +320,7 @@ def _along(
 ) -> int:
     """Set ``weights`` along r, the first two, and what ``level`` (r, 2, 7), the grid's functions
     and their slopes at depth number ``depth``, lacks of them; return the first index."""
-    along = r * _CELLS + _STENCIL // 2
-    first = int(along) - _STENCIL // 2 + 1
-    _stencil(along, first, weights[0], weights[1])
+    first: int = _stencil(r * _CELLS + _STENCIL // 2, weights[0], weights[1])
     for i in range(first, first + _STENCIL):
         if known[i] == depth:
             continue
@@ -360,7 +351,9 @@ def _compliance(
     for q in range(len(points)):
         z = points[q, 2] / thickness
         if q == 0 or points[q, 2] != points[q - 1, 2]:
-            depth, first_down = q, _down(z, weights)
+            depth = q
+            down = min(max(z, 0.0), 1.0) * _CELLS + _STENCIL // 2
+            first_down = _stencil(down, weights[2], weights[3])
         for t in range(len(centre)):
             x, y = (
                 (points[q, 0] - centre[t, 0]) / thickness,
@@ -414,7 +407,9 @@ def _gradient(
     for q in range(len(points)):
         z = points[q, 2] / thickness
         if q == 0 or points[q, 2] != points[q - 1, 2]:
-            depth, first_down = q, _down(z, weights)
+            depth = q
+            down = min(max(z, 0.0), 1.0) * _CELLS + _STENCIL // 2
+            first_down = _stencil(down, weights[2], weights[3])
         for s in range(len(centre)):
             x, y = (
                 (points[q, 0] - centre[s, 0]) / thickness,
