@@ -117,7 +117,7 @@ def _page(text: str, notebook: Any, stem: Path, work: Path) -> str:
 def make_commands(path: Path) -> None:
     """Write the page of the command line: the help of every command."""
     lines = ["# The command line: help of every command", "", "What `twin COMMAND --help` prints.", ""]
-    wide = {**os.environ, "COLUMNS": "100"}
+    wide = {**os.environ, "COLUMNS": "84"}
     for name in sorted(name for name in app if not name.startswith("-")):
         command = [sys.executable, "-m", "twin", name, "--help"]
         said = subprocess.run(command, capture_output=True, text=True, check=True, env=wide).stdout

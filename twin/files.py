@@ -127,11 +127,20 @@ class _Pinned:
 PINNED = _Pinned()
 
 
+FILES = (".h5", ".hdf5", ".parquet", ".csv", ".json", ".npz", ".png", ".mp4", ".toml", ".html")
+"""Endings that no new folder of results gets."""
+
+
 def make_folder(folder: Path) -> None:
     """Make ``folder``, check that it is writable, and remove partial files of killed writers.
 
-    Where it can't be made or written, an `InputError` is raised.
+    Where it can't be made or written, or is named like a file, an `InputError` is raised.
     """
+    if folder.suffix.lower() in FILES and not folder.exists():
+        raise InputError(
+            f"{folder}: the output is a folder, and {folder.suffix} a file's ending: leave it out "
+            "(twin export writes a dataset as files)"
+        )
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:

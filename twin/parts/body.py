@@ -289,6 +289,9 @@ WINDOW_MM = 1e-2
 """How far the corners of held triangles may be from the base plane that a camera looks through."""
 
 _ORIGIN_MM = 1e-3
+_UPRIGHT = (
+    "z points from the pressed surface, at z = 0, into the body: turn it in CAD if it does not"
+)
 
 
 class Solid(StlFile, Body):
@@ -389,7 +392,7 @@ class Solid(StlFile, Body):
             if not chosen.any():
                 raise ValueError(
                     f"{name}: no triangle of the {len(corners)} is in it; the body lies between "
-                    f"{low} and {high} mm: move or widen it"
+                    f"{low} and {high} mm: move or widen it, or set origin_mm; {_UPRIGHT}"
                 )
         both = int((held & sensing).sum())
         if both:
@@ -405,7 +408,8 @@ class Solid(StlFile, Body):
             seen = "not met there" if np.isnan(z) else f"met at z = {z:.6g} mm"
             raise ValueError(
                 f"origin_mm = {_as_text(self.origin_mm)} mm: the sensing surface must be met there "
-                f"from -z, at z = 0, but is {seen}; give a place of the file's sensing surface"
+                f"from -z, at z = 0, but is {seen}; give a place of the file's sensing surface; "
+                f"{_UPRIGHT}"
             )
         return self
 

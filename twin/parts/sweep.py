@@ -168,7 +168,8 @@ class Sweep(Part):
         region_mm
             Half sides of the region of the presses; six tenths of the scene's sites if not given.
         pair_mm
-            Distance of the two pushes that the full chain is shown.
+            Distance of the two pushes that the full chain is shown; the one that
+            ``targets.two_point_mm`` asks for if not given.
         exposures
             Pictures of every load in the full chain: more tell its noise from its bias.
         """
@@ -260,6 +261,17 @@ class Sweep(Part):
         default_factory=lambda: {"two_point_mm": 2.0, "total_force_error": 0.05}
     )
     weights: dict[str, float] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_far_apart_as_asked(cls, table: Any) -> Any:
+        if not isinstance(table, Mapping):
+            return table
+        loads, targets = (table.get(name, {}) for name in ("loads", "targets"))
+        asked = targets.get("two_point_mm") if isinstance(targets, Mapping) else None
+        if isinstance(loads, Mapping) and isinstance(asked, int | float) and 0 < asked <= 50:
+            return {**table, "loads": {"pair_mm": asked, **loads}}
+        return table
 
     @field_validator("axes", "derived", mode="before")
     @classmethod

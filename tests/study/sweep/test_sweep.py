@@ -224,7 +224,11 @@ def test_sites_that_hold_designs_back_are_said_and_rank_nothing(tmp_path: Path) 
     assert not any(note.startswith("least distance") for note in done.notes)
     write_report(done, tmp_path)
     assert "reconstruction.sites.pitch_mm = 0.75" in (tmp_path / "report.html").read_text()
-    done = run_sweep(*small(**changes, targets={"two_point_mm": 4.0}), tmp_path)
+    sweep, scene = small(**changes, targets={"two_point_mm": 4.0})
+    assert sweep.loads.pair_mm == 2.0
+    del coarse["pair_mm"]
+    assert small(**changes, targets={"two_point_mm": 4.0})[0].loads.pair_mm == 4.0, "as far apart as asked"
+    done = run_sweep(sweep, scene, tmp_path)
     assert not done.warnings, "fine enough sites need not be finer"
     assert "All of them reach the 4 mm wanted" in done.notes[0]
 

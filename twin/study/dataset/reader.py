@@ -84,7 +84,9 @@ class DatasetReader:
             self._rows = self._rows_of(split)
 
     def __repr__(self) -> str:
-        return f"DatasetReader({self.places.folder}, {len(self)} rows of {', '.join(self.columns)})"
+        names = ", ".join(self.columns[:5])
+        more = f" and {len(self.columns) - 5} more in .columns" if len(self.columns) > 5 else ""
+        return f"DatasetReader({self.places.folder}, {len(self)} rows of {names}{more})"
 
     @staticmethod
     @contextmanager

@@ -550,12 +550,13 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
     coarse, done.warnings, enough = _coarse(done)
     inverse = done.designs.scene.reconstruction
     if inverse is not None and inverse.method == "local" and (done.fidelity == "linear").any():
-        remedy = (
-            "raise full under [confirm]" if "full" in sweep.fidelity else 'add "full" to fidelity'
-        )
+        remedy = f"set full = {count} under [confirm]"
+        if "full" not in sweep.fidelity:
+            remedy = f'add "full" to fidelity, and {remedy}'
+        error = "differ" if len(done.designs.scene.markers) > 1 else "are far too large"
         done.warnings.append(
-            "the linear fidelity takes method smooth for local, which is not linear: with one "
-            f"layer of markers its force errors are far too large; {remedy}"
+            "the linear fidelity takes method smooth for local, which is not linear: its force "
+            f"errors {error}; {remedy}"
         )
     if (done.fidelity == "full").any():
         done.warnings += done.designs.scene.imaging[1].turns()
@@ -742,7 +743,10 @@ def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[Fact]:
             continue
         most = sweep.confirm.linear if stage == "linear" else sweep.confirm.full
         left = min(left, most) if most and stage != sweep.ladder[0] else left
-        each, start, rows, how = _measured(sweep, scene, stage, good, designs)
+        tried = good[:: max(1, len(good) // TRIED)][: 1 if stage == "full" else TRIED]
+        each, start, rows, how = _measured(
+            sweep, scene, stage, [designs.values(int(n)) for n in tried]
+        )
         text = (
             f"{counted(left, 'design')}, about {{seconds:.3g}} s with {counted(workers, 'worker')}"
             f", a free core each: {{design_s:.3g}} s of CPU a design ({how}), {{begin_s:.2g}} s to "
@@ -753,21 +757,21 @@ def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[Fact]:
         bad = Counter((row["status"], row["error"]) for row in rows if row["status"] != "ok")
         for (status, why), count in bad.items():
             facts.append(fact(f"{'':12s}{count} of {len(rows)} tried {status}", why, mark=": "))
+        # The next stage tries what this one didn't drop: a dropped design costs nothing.
+        ok = np.array([row["status"] == "ok" for row in rows])
+        good = tried[ok] if ok.any() else good
     return facts
 
 
 def _measured(
-    sweep: Sweep, scene: Scene, stage: str, good: Ints, designs: Designs
+    sweep: Sweep, scene: Scene, stage: str, tried: list[dict[str, Any]]
 ) -> tuple[float, float, list[Row], str]:
-    """Return CPU seconds of a design and of the start, the rows tried and how, from the cache if it
-    has them."""
-    # Pictures take as long for every made sensor of a design: one sensor of one design stands for
-    # all.
-    most, times = (1, sweep.sensors) if stage == "full" else (TRIED, 1)
+    """Return CPU seconds of a design and of the start, the rows of the designs tried and how, from
+    the cache if it has them."""
+    # Pictures take as long for every made sensor of a design: one sensor stands for all.
+    times = sweep.sensors if stage == "full" else 1
     few = sweep.model_copy(update={"sensors": sweep.sensors // times})
-    tried = good[:: max(1, len(good) // TRIED)][:most]
-    values = [designs.values(int(n)) for n in (tried[0], *tried)]  # the first twice: it begins
-    job = _job_of(few, scene, stage, values, 1)
+    job = _job_of(few, scene, stage, [tried[0], *tried], 1)  # the first twice: it begins
     how = f"an estimate from {counted(len(tried), 'design')}"
     made_by = json.dumps([job.name, versions(), platform.node()])
     kept = cache_folder() / f"sweep-cost-{hashlib.sha256(made_by.encode()).hexdigest()[:32]}.json"
