@@ -459,6 +459,19 @@ def test_a_row_of_the_border_that_is_hidden_does_not_pass_for_a_step_out_of_the_
     assert np.nanmax(np.abs(found.shift_px - shift), initial=0.0) < 0.2
 
 
+@pytest.mark.parametrize(("shift", "beyond"), [((-13.5, 3.0), True), ((20.0, 3.0), False), ((3.0, -22.0), False)])
+def test_half_a_pitch_is_told_from_a_hidden_column_by_what_comes_into_the_picture(shift, beyond):
+    """Where the print goes on beyond the frame all were a pitch off; where it doesn't, good jumps were refused, and 54
+    of 63 markers moved by .7 pitches a pitch off."""
+    rows = {"red": flat_layout(9 if beyond else 8, 7, 30.0, (30.0, 38.0))["red"]}
+    size = (267 if beyond else 270, 237)
+    moved = np.tile(shift, (len(rows["red"]), 1))
+    moved[:7] = np.nan if beyond else shift
+    found = track(picture(0.0, 1, rows, size), picture(moved, 2, rows, size), {"red": rows["red"][:56]})
+    assert np.nanmax(np.abs(found.shift_px - shift), initial=0.0) < 0.2
+    assert beyond or found.seen.all()
+
+
 @pytest.mark.parametrize("pitches", [1.0, 3.0, 4.0, 5.0])
 def test_equal_rows_that_fill_the_picture_are_never_matched_a_step_off(pitches):
     """After four pitches the rows that had left passed for hidden ones of a layer that had not moved."""

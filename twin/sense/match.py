@@ -293,6 +293,7 @@ class Neighbourhood:
         start_px: Pixels | None = None,
         size_px: tuple[int, int] | None = None,
         spare_px: Pixels | None = None,
+        found_px: float = np.inf,
     ) -> tuple[Ints, bool]:
         """Return (n,) which spot every marker has become, -1 where none has; whether another
         lattice shift fits as well.
@@ -309,6 +310,8 @@ class Neighbourhood:
             (height, width) of the picture, whose markers may leave it; None if none can.
         spare_px
             (s, 2) spots at rest that are none of the markers, px.
+        found_px
+            How far beyond the frame the middle of a spot may be that is found at rest, px.
 
         Notes
         -----
@@ -320,7 +323,7 @@ class Neighbourhood:
         count = len(self.rest_px)
         if not count or not len(spots):
             return np.full(count, -1, np.int64), False
-        search = _Search(self, spots, alike, size_px, start_px, spare_px)
+        search = _Search(self, spots, alike, size_px, start_px, spare_px, found_px)
         if start_px is not None:
             warm = search.grow(start_px, whole=True)
             allowed = TRUST * float(np.isfinite(self.rest_px).all(axis=1).sum())
@@ -366,9 +369,10 @@ class Neighbourhood:
         torn = best.unpaired > TORN * known
         gone = fewer > MORE and search.lost(best) < COVERED * known
         # A shorter motion that has a marker for every spot: have rows of the border been hidden?
+        # Not where as many would have come in that were not in sight at rest.
         hidden = any(
-            p.strange <= best.strange
-            and p.step < best.step - STILL
+            2 * (p.strange - best.strange) < max(search.lost(p), 1.0)
+            and p.step < best.step
             and search.lost(p) < COVERED * known
             for p in others
         )
@@ -429,12 +433,13 @@ class _Search:
         size_px: tuple[int, int] | None,
         start_px: Pixels | None,
         spare_px: Pixels | None,
+        found_px: float,
     ) -> None:
         spare = np.zeros((0, 2)) if spare_px is None else spare_px
         self.spare = cKDTree(spare) if len(spare) else None
         self.around, self.spots, self.alike, self.start_px = around, spots, alike, start_px
         self.known: Bools = np.asarray(np.isfinite(around.rest_px).all(axis=1))
-        self.usable = alike.any(axis=0)
+        self.usable, self.found_px = alike.any(axis=0), found_px
         self.tree = cKDTree(spots)
         height, width = (np.inf, np.inf) if size_px is None else size_px
         self.border = np.array([width, height]) - 1.0
@@ -456,7 +461,7 @@ class _Search:
             margin = GATE * size if np.isfinite(self.border).all() else -np.inf
             inside = ((place > margin) & (place < self.border - margin)).all(axis=1)
         lost = np.flatnonzero(self.known & (spot < 0) & inside)
-        strange = self._strange(spot, motion, margin)
+        strange = self._strange(spot, motion)
         # Spots unlike the markers that should be there are these, changed, as by a part hidden.
         pair = _mutual_nearest(place[lost], self.spots[strange], GATE * size)
         there = pair >= 0
@@ -489,8 +494,8 @@ class _Search:
         size = self.around.spacing_px
         return [float(one.mean()) / size if len(one) else 0.0 for one in known]
 
-    def _strange(self, spot: Ints, motion: Pixels, margin: float) -> Ints:
-        """Return which spots are no marker's, though at rest they would have been well inside the
+    def _strange(self, spot: Ints, motion: Pixels) -> Ints:
+        """Return which spots are no marker's, though at rest they would have been found in the
         picture, and none was there."""
         taken = spot >= 0
         free = self._free(spot)
@@ -498,7 +503,8 @@ class _Search:
             return free
         _, near = cKDTree(self.spots[spot[taken]]).query(self.spots[free])
         place = self.spots[free] - motion[taken][near]
-        strange = ((place > margin) & (place < self.border - margin)).all(axis=1)
+        reach = self.found_px
+        strange = ((place > -reach) & (place < self.border + reach)).all(axis=1)
         if self.spare is not None:
             strange &= self.spare.query(place)[0] > GATE * self.around.spacing_px
         return np.asarray(free[strange])

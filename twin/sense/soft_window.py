@@ -37,6 +37,9 @@ another."""
 
 CROWDED_SD_PX = 0.1
 
+FOUND = 0.15
+"""At rest a spot is found whose middle is beyond the frame by less than this share of its width; of
+those at .2, in half the light, every other one."""
 
 HIDDEN_AREA = 0.92
 """A crowded marker below this share of its area at rest counts as hidden."""
@@ -129,8 +132,7 @@ class SoftWindow(CentreEstimator):
         signal -= np.float32(look.ground_dn)
         blobs = Blobs.found_in(signal, look.diameter_px, look.contrast_dn, look.floor_dn)
         # From a cold start the whole lattice is followed, also where it goes on beyond the layout.
-        spare, beyond = self._spare
-        here = self._whole_lattice if start_px is None and len(beyond) else self
+        here = self._whole_lattice if start_px is None and len(self._spare[1]) else self
         with np.errstate(invalid="ignore", divide="ignore"):
             area = blobs.area_px[None] / here.area_px[:, None]
             level = blobs.level_dn[None] / here.level_dn[:, None]
@@ -140,11 +142,7 @@ class SoftWindow(CentreEstimator):
             & (level > LEVEL_RATIO[0])
             & (level < LEVEL_RATIO[1])
         )
-        around = here.around
-        spare_px = look.blobs.centre_px[np.setdiff1d(spare, beyond) if around.goes_on else spare]
-        spot, ambiguous = around.follow(
-            blobs.centre_px, good & blobs.whole, start_px, look.picture_px, spare_px
-        )
+        spot, ambiguous = self._followed(here.around, blobs.centre_px, good & blobs.whole, start_px)
         spot, good = spot[: len(self.area_px)], good[: len(self.area_px)]
         state = self._lost_state(blobs, spot, ~good & blobs.whole)
         spurious = self._spurious(blobs, spot)
@@ -152,6 +150,17 @@ class SoftWindow(CentreEstimator):
             state[spot >= 0] = AMBIGUOUS
             spot = np.full_like(spot, -1)
         return blobs, spot, state, spurious
+
+    def _followed(
+        self, around: Neighbourhood, spots: Pixels, alike: Bools, start_px: Pixels | None
+    ) -> tuple[Ints, bool]:
+        """Return the result of `Neighbourhood.follow`, which is told of what else is seen at
+        rest."""
+        look, (spare, beyond) = self.look, self._spare
+        spare = np.setdiff1d(spare, beyond) if around.goes_on else spare
+        spare_px = np.concatenate([look.blobs.centre_px[spare], self.spot_px[self.cut]])
+        found_px = FOUND * look.diameter_px
+        return around.follow(spots, alike, start_px, look.picture_px, spare_px, found_px)
 
     @cached_property
     def _spare(self) -> tuple[Ints, Ints]:
@@ -173,7 +182,7 @@ class SoftWindow(CentreEstimator):
         around = self._whole_lattice.around
         spots = around.rest_px[np.isfinite(around.rest_px[:, 0])]
         alike = np.ones((len(around.rest_px), len(spots)), np.bool_)
-        return around.follow(spots, alike, None, self.look.picture_px)[1]
+        return self._followed(around, spots, alike, None)[1]
 
     @cached_property
     def _whole_lattice(self) -> SoftWindow:
