@@ -155,6 +155,8 @@ def plot_shifts(
             color=_LAYERS.get(name) or next(spare),
             label=f"{name} layer" if name != "markers" else name,
         )
+    if picture is None:
+        _show_ends(ax, rest_px[good], factor * shift_px[good])
     _in_px(ax, picture)
     ax.set_title(f"marker motion, drawn {factor:g} times as long")
     if len(set(names[good].tolist())) > 1:
@@ -221,6 +223,7 @@ def plot_forces(
             scale=scale,
             width=0.004,
         )
+        _show_ends(ax, site_mm[:, :2], force_n[:, :2] / scale)
     ax.figure.colorbar(shown, ax=ax, label="force along z (N)", shrink=_BAR)
     _in_mm(ax, title)
     return ax
@@ -255,6 +258,12 @@ def plot_patches(ax: Any, corner_mm: Floats, pressure_mpa: Floats, slip: Bools) 
     ax.figure.colorbar(drawn, ax=ax, label="pressure (MPa)", extend="max", shrink=_BAR)
     _in_mm(ax, f"contact, {len(pressure_mpa)} patches")
     return ax
+
+
+def _show_ends(ax: Any, start: Floats, arrow: Floats) -> None:
+    """Widen the axes to the ends of (n, 2) arrows."""
+    ax.update_datalim(start + arrow)
+    ax.autoscale_view()
 
 
 def _in_px(ax: Any, picture: Picture | None) -> None:

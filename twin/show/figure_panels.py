@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from twin.arrays import Picture, Pixels, Points
+from twin.arrays import Floats, Picture, Pixels, Points
 from twin.display import plot_forces, plot_shifts
 
 _COLUMNS = 2
@@ -59,9 +59,11 @@ class Panel:
         logarithmic: bool = False,
     ) -> Panel:
         """Return the drawing of curves, (n,) x, (n,) y and a style of matplotlib's, by name;
-        ``levels`` are horizontal lines by name."""
+        ``levels`` are horizontal lines by name. Whole numbers x are counted."""
 
         def draw(axes: Any) -> None:
+            if all(np.asarray(x).dtype.kind == "i" for x, *_ in curves.values()):
+                axes.xaxis.get_major_locator().set_params(integer=True)
             for label, curve in curves.items():
                 axes.plot(*curve, ms=4, label=label)
             for label, value in (levels or {}).items():
@@ -69,6 +71,21 @@ class Panel:
             if logarithmic:
                 axes.set_yscale("log")
             axes.set(xlabel=across, ylabel=up)
+
+        return cls(title=title, draw=draw)
+
+    @classmethod
+    def strips(cls, title: str, across: str, values: Mapping[str, Floats]) -> Panel:
+        """Return the drawing of (n,) positive values on a logarithmic axis, a row of dots by
+        name."""
+
+        def draw(axes: Any) -> None:
+            for row, each in enumerate(values.values()):
+                axes.plot(each, np.full(len(each), row), "o", ms=6, alpha=0.6)
+            names = ["\n".join(textwrap.wrap(name, 26)) for name in values]
+            axes.set_yticks(range(len(names)), names)
+            axes.set(xscale="log", xlabel=across, ylim=(len(names) - 0.5, -0.5))
+            axes.grid(axis="y", lw=0.5)
 
         return cls(title=title, draw=draw)
 
@@ -85,14 +102,19 @@ class Panel:
         return cls(title=title, draw=draw)
 
     @classmethod
-    def shifts(cls, title: str, found: _Shifts, magnified: float, layer: str = "") -> Panel:
-        """Return the drawing of a layer's tracked shifts; of all layers' by default."""
+    def shifts(
+        cls, title: str, found: _Shifts, layer: str = "", magnified: float | None = None
+    ) -> Panel:
+        """Return the drawing of a layer's tracked shifts; by default of all layers', as long as the
+        distance of neighbours allows."""
         rows = (found.layer == layer) | (layer == "")
         drawn = found.rest_px[rows], found.shift_px[rows], found.layer[rows]
-        return cls(
-            title=f"{title}, {magnified:g} times as long",
-            draw=lambda axes: plot_shifts(axes, *drawn, factor=magnified),
-        )
+
+        def draw(axes: Any) -> None:
+            plot_shifts(axes, *drawn, factor=magnified)
+            axes.set_xlabel(f"column (px); {axes.get_title()}")
+
+        return cls(title=title, draw=draw)
 
     @classmethod
     def field(
@@ -147,8 +169,8 @@ _STYLE = {
     "axes.spines.right": False,
     "lines.linewidth": 2.0,
     "legend.fontsize": 9,
-    "legend.frameon": False,
-    **dict.fromkeys(("figure.facecolor", "axes.facecolor"), _PAPER),
+    "legend.edgecolor": "none",
+    **dict.fromkeys(("figure.facecolor", "axes.facecolor", "legend.facecolor"), _PAPER),
     **dict.fromkeys(
         ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK
     ),

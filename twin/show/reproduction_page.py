@@ -7,6 +7,7 @@ the entries that are finished.
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,40 @@ PAPERS = {
 }
 
 
+_LEAST_PX = 1e-4
+"""Places of pixels are shown to this: a mean over all markers is hardly better known."""
+
+
+def _known(value: float, unit: str) -> str:
+    """Return a number's digits; of pixels without those that mean nothing."""
+    if unit == "px" and abs(value) < 100 * _LEAST_PX:
+        value = round(value / _LEAST_PX) * _LEAST_PX
+    return digits(value)
+
+
+def _difference(record: Mapping[str, Any]) -> float | None:
+    """Return twin less paper, to three digits of the paper's number."""
+    value: float | None = record["difference"]
+    paper: float | None = record["paper"]
+    if value is None or not paper:
+        return value
+    return round(value, 2 - math.floor(math.log10(abs(paper))))
+
+
+def _counted(record: Mapping[str, Any]) -> tuple[str, str]:
+    """Return a record's quantity without what its runs are, and these with their number."""
+    name, _, kind = record["quantity"].removesuffix(")").partition(" (n ")
+    many = record["n"]
+    if not kind:
+        return record["quantity"], f"{many} runs" if many > 1 else ""
+    if many > 1:
+        return name, f"{many} {kind}"
+    return name, kind.removeprefix("times ") if kind.startswith("times ") else ""
+
+
 def reproduction(
     tables: Sequence[Mapping[str, Any]],
-    pictures: Mapping[str, bytes],
+    pictures: Mapping[str, Sequence[tuple[str, bytes]]],
     sensors: Mapping[str, Mapping[str, Any]],
     failed: Mapping[str, str],
     short: Mapping[str, Sequence[str]],
@@ -33,15 +65,16 @@ def reproduction(
 ) -> str:
     """Return the page as one self-contained HTML file.
 
-    ``tables`` are the entries' files in order, ``pictures`` SVG by entry, ``sensors`` scene, hash
-    and what was fitted by paper, ``failed`` the reason by entry that could not be finished,
-    ``short`` the sentences of the first screen by heading, ``unprinted`` what no paper prints, as
-    `twin.study.reproduce.record.Record.settled` has it.
+    ``tables`` are the entries' files in order, ``pictures`` titles and SVG by entry, ``sensors``
+    scene, hash and what was fitted by paper, ``failed`` the reason by entry that could not be
+    finished, ``short`` the sentences of the first screen by heading, ``unprinted`` what no paper
+    prints, as `twin.study.reproduce.record.Record.settled` has it.
     """
     from jinja2 import Environment, FileSystemLoader
 
     made = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True)
     made.filters |= {"digits": digits, "base64": lambda data: base64.b64encode(data).decode()}
+    made.filters |= {"counted": _counted, "known": _known, "difference": _difference}
     both = [(table, record) for table in tables for record in table["records"]]
     verdicts = [
         r["verdict"] for _, r in both if r["paper"] is not None and not r["timed"] and not r["ours"]

@@ -142,6 +142,7 @@ class Entry:
     cpu_seconds: int
     memory_gb: float | None = None
     long: bool = False
+    quick: str = ""
     notes: Sequence[str] = ()
     run: Callable[[Bench], Outcome]
 

@@ -194,7 +194,7 @@ def _figure_9(bench: Bench) -> Entry.Outcome:
         numbers(replace(TRACKED, overrides={"material.law": law}).shot(bench, press).found)[largest]
         for law in ("neo_hookean", "linear")
     ]
-    panel = Panel.shifts("Red layer, 5 mm pillar along z", runs[0], 20.0, "red")
+    panel = Panel.shifts("Red layer, 5 mm pillar along z", runs[0], "red")
     return Entry.Outcome(
         records=[*records, *Record.of_runs([{harder: moved[0] / moved[1]}])],
         panels=(panel,),

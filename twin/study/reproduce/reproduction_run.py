@@ -153,20 +153,25 @@ def _run(out: Path, entry: Entry, bench: Bench) -> None:
         "sensor": entry.name.split("/")[0],
         "sensor_hash": {name: Bench.sensor_hash(name) for name in sorted(bench.used)},
     }
-    picture = Panel.svg(outcome.panels) if outcome.panels else b""
+    protocol = entry.protocol
+    if bench.quick and entry.quick:
+        protocol += f" In the quick form {entry.quick}."
     table = {
         "key": _key(entry, bench),
         "name": entry.name,
         "title": entry.title,
         "source": entry.source,
-        "protocol": entry.protocol,
+        "protocol": protocol,
         "notes": [*entry.notes, *outcome.notes, *([bench.validity] if bench.validity else [])],
         "seconds": round(time.perf_counter() - started, 2),
         "cpu_seconds": round(time.process_time() - worked, 2),
         "records": [{**about, **record.row(), **sensor} for record in outcome.records],
+        "panels": [panel.title for panel in outcome.panels],
     }
-    if picture:
-        write_whole(_picture(out, entry.name), picture)
+    if outcome.panels:
+        write_whole(_picture(out, entry.name), Panel.svg(outcome.panels))
+    for number, panel in enumerate(outcome.panels):
+        write_whole(_picture(out / "entries", f"{entry.name}_{number}"), Panel.svg([panel]))
     write_whole(_records(out, entry), json.dumps(table, indent=1).encode())
 
 
@@ -224,10 +229,13 @@ def _publish(out: Path, bench: Bench, failed: dict[str, str]) -> None:
         table["records"] = [record for record in records if record["name"] == table["name"]]
     text = json.dumps(records, indent=1) + "\n"
     write_whole(out / "results.json", text.encode())
-    pictures = {}
-    for table in tables:
-        file = _picture(out, table["name"])
-        pictures[table["name"]] = file.read_bytes() if file.is_file() else b""
+    pictures = {
+        table["name"]: [
+            (title, _picture(out / "entries", f"{table['name']}_{number}").read_bytes())
+            for number, title in enumerate(table["panels"])
+        ]
+        for table in tables
+    }
     facts = {
         paper: {"scene": scene, "hash": Bench.sensor_hash(paper), "fitted": list(FITTED[paper])}
         for paper, scene in SCENES.items()

@@ -181,7 +181,7 @@ def _figure_7(bench: Bench) -> Entry.Outcome:
     for way in WAYS:
         found, runs = _compared(bench, KAMIYAMA, way, _vectors)
         records += found
-        panels.append(Panel.shifts(f"3 px to the right, {way}", runs[0], 5.0))
+        panels.append(Panel.shifts(f"3 px to the right, {way}", runs[0], magnified=5.0))
     return Entry.Outcome(records=records, panels=panels)
 
 
