@@ -1,6 +1,7 @@
 """Tracking on pictures by area sampling: the bound, stated variances, matching, sequences, states, hard pictures."""
 
 import tracemalloc
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -77,6 +78,8 @@ def test_stated_variance_of_compressed_and_mosaic_pictures(camera, diameter):
         assert found.seen.all()
         scores.append((found.shift_px - shift) / found.sd_px[:, None])
     assert 1 / 1.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
+    # what leaves as little as white noise was a traceback
+    assert replace(rest.groups[0].templates, usual_misfit=1.0).smooths_third == 1.0
 
 
 @pytest.mark.parametrize(("diameter", "largest"), [(4.0, 1.5), (5.0, 1.4), (6.0, 1.2)])

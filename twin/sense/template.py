@@ -725,7 +725,7 @@ class Templates:
         `noise` is read, have (1 - that)^2 of the variance: the rest is `usual_misfit`. The n-th
         harmonic at radius r falls by exp(-(n b / r)^2 / 2).
         """
-        if not self.coherent:
+        if not self.coherent or self.usual_misfit <= 1.0:
             return 1.0
         square = -0.25 / math.log(1.0 - self.usual_misfit**-0.5)
         return math.exp(4.0 * square / self.usual_radius_px**2)
