@@ -498,7 +498,7 @@ def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> str:
             title = "Expected estimate of the push in the middle"
             parts.append(_field(title, kept["site_mm"], kept["middle_n"]))
         most = max(most, len(parts))
-        drawings = parts[0] if len(parts) == 1 else two_columns(parts, three=True)
+        drawings = two_columns(parts, three=True)
         cards.append(
             f"<div><h3>Design {number}</h3>"
             f'<p class="note">Ready to run, in this page&rsquo;s folder: <code>twin run '
