@@ -1,6 +1,7 @@
 """The way to the mesher: what goes in, the guard around the child, and what is refused."""
 
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -129,6 +130,13 @@ def test_what_the_mesher_can_t_survive_never_reaches_it(request_of_block, monkey
 
 
 # --- the child ------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif((sys.platform, platform.machine()) != ("linux", "x86_64"), reason="as `Request.solve` says")
+def test_the_same_surface_gives_the_same_mesh(request_of_block):
+    one, other = (request_of_block.solve() for _ in range(2))
+    for part, again in zip(one, other, strict=True):
+        assert_array_equal(part, again)
 
 
 @pytest.fixture
