@@ -477,7 +477,7 @@ def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> str:
     store = Store(folder)
     designs = done.designs
     two = f"Estimate of two pushes {designs.sweep.loads.pair_mm:g} mm apart"
-    cards, most = [], 0
+    cards = []
     for number, file in best.items():
         parts = []
         key = done.keys.get(number)
@@ -497,15 +497,15 @@ def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> str:
             kept = done.expected(number)
             title = "Expected estimate of the push in the middle"
             parts.append(_field(title, kept["site_mm"], kept["middle_n"]))
-        most = max(most, len(parts))
-        drawings = two_columns(parts, three=True)
-        cards.append(
-            f"<div><h3>Design {number}</h3>"
+        head = (
+            f"<h3>Design {number}</h3>"
             f'<p class="note">Ready to run, in this page&rsquo;s folder: <code>twin run '
-            f"{escape(str(file.relative_to(folder)))}</code></p>{drawings}</div>"
+            f"{escape(str(file.relative_to(folder)))}</code></p>"
         )
-    # designs with one drawing at most stand next to each other
-    return two_columns(cards) if most < 2 else "".join(cards)
+        cards.append((head, parts))
+    if all(len(parts) < 2 for _, parts in cards):  # they stand next to each other
+        return two_columns([f"<div>{head}{''.join(parts)}</div>" for head, parts in cards])
+    return "".join(f"<div>{head}{two_columns(parts, three=True)}</div>" for head, parts in cards)
 
 
 def _field(name: str, sites: Points, force: Floats) -> str:
