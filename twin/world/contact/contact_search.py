@@ -512,7 +512,9 @@ def _within_outline(setup: ProbeSetup, patches: Patches, found: Equilibrium) -> 
     if not (cone or isinstance(setup.probe, Sphere)):
         return None
     rows = np.flatnonzero(found.active)
-    outline = patches.outline(rows, found.force_n[rows, 2] / patches.area_mm2[rows], bent=cone)
+    flat = 4.0 * np.prod(patches.cell_mm[rows], axis=1)
+    pressure = found.force_n[rows, 2] / patches.area_mm2[rows]
+    outline = patches.outline(patches.middle_mm[rows], flat, pressure, bent=cone)
     if outline is None:
         return None
     low, high = outline.min(axis=0), outline.max(axis=0)

@@ -47,12 +47,12 @@ def _contact_area(
     if not (cone or isinstance(setup.probe, Sphere)):
         return counted
     bent = cone or (friction > 0.0 and 1.0 - 2.0 * nu > _COUPLED * 2.0 * (1.0 - nu))
-    outline = patches.outline(rows, equilibrium.force_n[rows, 2] / area, bent=bent)
+    place, flat = patches.middle_mm[rows], 4.0 * np.prod(patches.cell_mm[rows], axis=1)
+    outline = patches.outline(place, flat, equilibrium.force_n[rows, 2] / area, bent=bent)
     if outline is None:
         return counted
-    u, v = (outline - patches.middle_mm[rows].mean(axis=0)).T
-    flat = float(4.0 * np.prod(patches.cell_mm[rows], axis=1).sum())
-    return math.pi * float(np.mean(u * u + v * v)) * counted / flat
+    u, v = (outline - place.mean(axis=0)).T
+    return math.pi * float(np.mean(u * u + v * v)) * counted / float(flat.sum())
 
 
 _RATIO_LIMIT = 0.3

@@ -11,8 +11,9 @@ on the patches in contact, slipping ones along their drag; exact to first order.
 
 **Patches.** The same press is solved on wider patches (on narrower ones where there are few), and
 compared. Under a smooth probe patches cut the contact's border by chance, so the difference may
-vanish. Therefore an error proportional to the square of the width is added. The tractions' error
-comes from how they bend from patch to patch, and takes no other solve.
+vanish. Under a sphere the error is that of Hertz's contact with the same border on the same
+patches; else one proportional to the square of the width is added. The tractions' error comes from
+how they bend from patch to patch, and takes no other solve.
 
 **Parts of a path** (friction). The same press is solved in half as many parts.
 
@@ -38,7 +39,7 @@ from twin.theory import halfspace
 from twin.world.contact.contact_problem import LoadProgramme, ProbeSetup
 from twin.world.contact.contact_state import ContactState, PressError, Share
 from twin.world.contact.probe_gap import MOTIONS, Z
-from twin.world.contact.surface_patches import Box
+from twin.world.contact.surface_patches import Box, Patches
 
 _Solve = Callable[[LoadProgramme, int], tuple[list[ContactState], str]]
 """Takes a programme's path in so many parts a step; returns the states, and why it stopped."""
@@ -51,8 +52,8 @@ _FEW_ON_RIM, _OF_FINER = 14, 2.0
 it alike. Error over the larger change: the order may be the first."""
 
 _MOST_RESPONDING = 600
-"""Patches in contact from which on its response is computed on fewer: its time grows with their
-cube."""
+"""Patches in contact from which on its response is computed on fewer, and what they cut isn't: the
+time grows with their cube."""
 
 _WIDER = 0.4
 _WIDER_FLAT = 0.5
@@ -68,19 +69,18 @@ _ORDER = 1.8
 _ALIKE = 1.3
 """Order of that law, and the least ratio of widths that counts."""
 
-_CUT = 0.26
+_CUT = 0.38
 """Error of a smooth probe's force at a given depth, times the square of the patches across, on
-thick rubber. Measured at 8 to 24 across against 36 to 40 under balls: it
-would be 0.34, 0.47 and 0.82 at radii up to 0.3, 1 and more of the thickness."""
+thick rubber, where nothing better is known (`_Border.as_hertz`)."""
+
+_AS_HERTZ, _LEFT, _LEFT_THIN = 1.2, 0.08, 2.0
+"""Least error of a sphere's force over `_Border.as_hertz`, what is added, times the patches in
+contact, and how many times `thin` that grows. Measured under 14 balls at 8 to 20 patches across
+against 40: up to 0.07 are missed; 0.21 on rubber thinner than the contact's radius."""
 
 _WHOLE = 0.75
 """Error of the force sideways where patches stick as a whole, over what their area is too large by:
 about half on a half-space, where it grows with the radius, and all on a thin layer."""
-
-_UNLOADED, _UNFITTED = 0.9, 0.75
-"""Patches across a contact over those of its grid, below which it counts as unloaded; and how many
-times as many have its error where the grid was fitted to it. Measured under a sphere and a cone
-unloaded to 0.15 to 0.6 of their depth: `_CUT` would be 0.5 at most."""
 
 _CUT_STUCK = 0.25
 """Least error of the force sideways where patches stick up to the border of a smooth contact, times
@@ -354,13 +354,9 @@ class Estimates:
     def _cut(self, state: ContactState, step: int, changed: Share) -> Share:
         """Return what patches leave: what other patches change, and where they cut the borders of
         contacts, which may change nothing by chance."""
-        smooth = any(isinstance(setup.probe, Sphere | Cone) for setup in self._job.setups)
         across = self._job.setups[0].across
         borders = self._borders(state, step)
-        error = 0.0
-        if smooth:
-            fewest = min(map(self._across, self._job.setups, (state, *state.also)))
-            error = _CUT * (1.0 + max(one.thin for one in borders)) / fewest**2
+        error = max(one.cut_error for one in borders)
         for setup in self._job.setups:
             if setup.has_inclined_face:
                 incline = math.acos(min(1.0, float(setup.first.tilt[2, 2])))
@@ -399,16 +395,12 @@ class Estimates:
         sideways = max(
             self._stuck_border(number, border, step) for number, border in enumerate(borders)
         )
-        whole = changed.plus(border).at_least(least).plus(Share(force=sideways, markers=sideways))
+        whole = changed.plus(border)
+        if all(one.as_hertz is not None for one in borders if one.touches):
+            forces = changed if self._job.friction.any() else Share()
+            whole = replace(forces.at_least(border), markers=whole.markers)
+        whole = whole.at_least(least).plus(Share(force=sideways, markers=sideways))
         return replace(whole, traction=max(border.traction_error for border in borders))
-
-    def _across(self, setup: ProbeSetup, state: ContactState) -> float:
-        """Return the patches across a contact. With friction one grid serves the whole path: under
-        a smooth probe that has been unloaded they are fewer, and fit the border less well."""
-        smooth = self._job.friction.any() and isinstance(setup.probe, Sphere | Cone)
-        fewer = math.sqrt(4.0 * len(state.pressure_mpa) / math.pi)
-        unloaded = smooth and 0.0 < fewer < _UNLOADED * setup.across
-        return _UNFITTED * fewer if unloaded else setup.across
 
     def _forced(self, step: int) -> int | None:
         """Return the last step up to this one whose depth a force gave."""
@@ -450,10 +442,9 @@ class Estimates:
         # What is held by force sideways is as it should be; what is held by motion is too large.
         sideways = np.where(held[:Z], 0.0, setup.first.axes[:Z] @ state.force_n)
         excess = _WHOLE * abs(counted / state.area_mm2 - 1.0)
-        least = _CUT_STUCK / self._across(setup, state)
+        least = _CUT_STUCK * math.sqrt(math.pi / len(state.pressure_mpa)) / 2.0
         if setup.is_free_form:  # its area is counted: patches stick as far as its edges are smooth
-            share = math.sqrt(border.longer * math.pi / len(state.pressure_mpa))
-            least = _CUT_STUCK * share / 2.0 * (1.0 - border.ends_sharply)
+            least *= math.sqrt(border.longer) * (1.0 - border.ends_sharply)
         return stuck * max(excess, least) * _over(sideways, state.force_n)
 
     def _half_space(self, load: Load, points: Points) -> Points:
@@ -738,6 +729,67 @@ class _Border:
         whole = modulus * self.state.indentation_mm * float(np.linalg.norm(self.state.force_n))
         off = 2.0 * math.pi * missed * squared / whole
         return _ASTRAY * float(abs(off.sum()) + np.linalg.norm(off))
+
+    @property
+    def cut_error(self) -> float:
+        """The error of a smooth probe's force as patches cut its border."""
+        count = len(self.state.pressure_mpa)
+        if count == 0 or not isinstance(self.setup.probe, Sphere | Cone):
+            return 0.0
+        if self.as_hertz is None:
+            return _CUT * (1.0 + self.thin) * math.pi / 4.0 / count
+        return _AS_HERTZ * abs(self.as_hertz) + _LEFT * (1.0 + _LEFT_THIN * self.thin) / count
+
+    @cached_property
+    def as_hertz(self) -> float | None:
+        """That error under a sphere, with its sign; None where pressures don't show the border, or
+        the patches are many.
+
+        Hertz's contact with the same border, on the same patches of a half-space, has a force that
+        is known. What patches lack lies at the border, where p = k sqrt(distance): it is in
+        proportion to k^2 / (E' force indentation).
+        """
+        from scipy.special import elliprd, elliprf
+
+        pressure = self.state.pressure_mpa
+        if not (isinstance(self.setup.probe, Sphere) and 0 < len(pressure) <= _MOST_RESPONDING):
+            return None
+        load = self.load
+        area = _areas(load)
+        away = load.centre_mm - load.centre_mm.mean(axis=0)
+        frame = load.frames[np.argmin(np.linalg.norm(away, axis=1))]
+        place = away @ frame[:2].T
+        ends = Patches.outline(place, area, pressure, bent=False)
+        if ends is None:
+            return None
+        # 1. The ellipse through these ends: its middle, axes and half lengths.
+        x, y = ends.T
+        terms = np.column_stack([x, y, x * x, x * y, y * y])
+        linear_x, linear_y, xx, xy, yy = np.linalg.lstsq(terms, np.ones(len(x)), rcond=None)[0]
+        form = np.array([[xx, xy / 2.0], [xy / 2.0, yy]])
+        middle = -np.linalg.solve(form, [linear_x, linear_y]) / 2.0
+        inverse_squared, axes = np.linalg.eigh(form / (1.0 + middle @ form @ middle))
+        if inverse_squared[0] <= 0.0:
+            return None
+        a, b = 1.0 / inverse_squared
+        # 2. How deep pressures of 1 MPa in the middle press it (Johnson 1985, 3.41; E' = 1 MPa).
+        u, v = ((place - middle) @ axes).T ** 2
+        depth = math.sqrt(a * b) * elliprf(0.0, a, b)
+        bowl = math.sqrt(a * b) / 3.0 * (u * elliprd(0.0, b, a) + v * elliprd(0.0, a, b))
+        flat = replace(
+            load,
+            centre_mm=np.insert(place, 2, 0.0, axis=1),
+            frames=np.tile(np.eye(3), (len(load), 1, 1)),
+        )
+        force = np.linalg.solve(halfspace.normal_compliance(flat, 1.0, 0.0), depth - bowl)
+        missed = float(force.sum()) / (math.pi * math.sqrt(a * b) / 1.5) - 1.0
+        # 3. The same share of this contact's force.
+        rim = self.patches
+        steeper = float(pressure[rim] @ pressure[rim] / np.sum((force / area)[rim] ** 2))
+        modulus = self.setup.youngs_modulus_mpa / (1.0 - self.setup.poisson_ratio**2)
+        whole = modulus * self.state.indentation_mm * float(np.linalg.norm(self.state.force_n))
+        share = steeper * float(force.sum()) * depth / whole if whole > 0.0 else 1.0
+        return missed * max(1.0, share)  # less in rubber that has relaxed, whose modulus is less
 
     @property
     def longer(self) -> float:

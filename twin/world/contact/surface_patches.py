@@ -471,9 +471,11 @@ class Patches:
         u1, v1 = np.max(middle + cell, axis=0, initial=-math.inf).tolist()
         return Box(u0, u1, v0, v1)
 
-    def outline(self, chosen: Ints, pressure: Floats, *, bent: bool) -> Floats | None:
-        """Return places (60, 2) around a smooth probe's contact where it ends, in the grid's plane,
-        from the pressures of the k chosen patches; None where these don't tell.
+    @staticmethod
+    def outline(place: Floats, area: Floats, pressure: Floats, *, bent: bool) -> Floats | None:
+        """Return places (60, 2) around a smooth probe's contact where it ends, in a plane, from the
+        pressures of its k patches, their places (k, 2) and areas there; None where these don't
+        tell.
 
         Notes
         -----
@@ -486,10 +488,9 @@ class Patches:
         ray from there, between 0.3 and 1.5 of the largest distance from the mean. Validity:
         contacts near an ellipse.
         """
-        if len(chosen) < _FEWEST:
+        if len(place) < _FEWEST:
             return None
-        used = pressure <= _EVEN * np.median(pressure) if bent else np.ones(len(chosen), bool)
-        place = self.middle_mm[chosen]
+        used = pressure <= _EVEN * np.median(pressure) if bent else np.ones(len(place), bool)
         middle = place.mean(axis=0)
         size = float(np.abs(place - middle).max())
         u, v = (place - middle)[used].T / size
@@ -511,8 +512,7 @@ class Patches:
         here = height[rays, end]
         ends = radius[end] - (radius[1] - radius[0]) * here / (here - height[rays, end - 1])
         within = math.pi * float(size**2 * np.mean(ends**2))
-        counted = float(4.0 * np.prod(self.cell_mm[chosen], axis=1).sum())
-        if abs(within / counted - 1.0) > _APART:
+        if abs(within / area.sum() - 1.0) > _APART:
             return None
         return np.asarray(middle + size * ends[:, None] * way)
 
