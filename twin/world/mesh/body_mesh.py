@@ -290,7 +290,7 @@ def build_mesh(
             break
         try:
             if start is None or attempt % SAME_START == 0:
-                start = _start(body, sizing, surface, max(left_s, 1.0))
+                start = _start(body, sizing, surface, max(left_s, 1.0), attempt)
             edge_mm = scale * wanted(start[0])
             within_mm = _ENVELOPE * scale * finest_mm
             mesh = snapped_mesh(body, *remeshed(*start, edge_mm, within_mm, ridge_deg))
@@ -403,10 +403,10 @@ def _next_scale(tried: list[tuple[float, float]]) -> float:
 
 
 def _start(
-    body: Body, sizing: Sizing, surface: tuple[Points, Ints], processor_s: float
+    body: Body, sizing: Sizing, surface: tuple[Points, Ints], processor_s: float, seed: int
 ) -> tuple[Points, Ints]:
     """Return a mesh (n, 3) mm and (m, 4) near the body's surface, made in so much processor
-    time."""
+    time; another ``seed`` gives another one."""
     coarser = (sizing.unknowns / START_UNKNOWNS) ** (1 / _POWER)
     sizing = sizing.scaled(max(1.0, coarser))
     points, tets, edge_mm = WantedEdge(body, sizing).background()
@@ -420,4 +420,4 @@ def _start(
         coarse_mm=sizing.coarse_mm,
         envelope=_ENVELOPE * min(sizing.fine_mm, sizing.rim_mm) / diagonal,
     )
-    return request.solve(processor_s=processor_s)
+    return request.solve(processor_s=processor_s, seed=seed)

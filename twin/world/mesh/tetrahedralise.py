@@ -31,9 +31,6 @@ from twin.world.mesh.quality import open_edges
 
 _PR_SET_PDEATHSIG = 1
 
-_RETURN_0 = bytes.fromhex("f30f1efa31c0c3")
-"""Machine code of x86-64: endbr64; xor eax, eax; ret."""
-
 _STOP_ENERGY = 10.0
 """Element quality (conformal AMIPS energy) at which the mesher stops improving."""
 
@@ -64,10 +61,10 @@ class Request:
     envelope: float = 1e-3
 
     def solve(
-        self, *, limit_s: float = 600.0, processor_s: float | None = None
+        self, *, limit_s: float = 600.0, processor_s: float | None = None, seed: int = 0
     ) -> tuple[Points, Ints]:
         """Fill a closed surface: return points (n, 3), mm, every one used, and (m, 4) positive
-        tetrahedra. The same surface gives the same mesh on Linux with x86-64.
+        tetrahedra. The same surface and seed give the same mesh on Linux with x86-64.
 
         ``limit_s`` limits the child's time, s, and ``processor_s`` its processor time, which
         another program's work does not use up (Unix only).
@@ -83,8 +80,12 @@ class Request:
         with tempfile.TemporaryDirectory(prefix="twin-mesh-") as folder:
             given, made = Path(folder, "in.npz"), Path(folder, "out.npz")
             with given.open("wb") as file:
-                limits = {"limit_s": limit_s, "processor_s": processor_s or limit_s}
-                values: dict[str, Any] = {**limits, **vars(self)}
+                given_here = {
+                    "limit_s": limit_s,
+                    "processor_s": processor_s or limit_s,
+                    "seed": seed,
+                }
+                values: dict[str, Any] = {**given_here, **vars(self)}
                 np.savez(file, **values)
             _run_child(
                 [sys.executable, "-m", "twin.world.mesh.tetrahedralise", str(given), str(made)],
@@ -265,7 +266,7 @@ def _child(given: str, made: str) -> None:
         if hasattr(signal, "alarm"):
             signal.alarm(int(float(request["limit_s"])) + 60)
         _limit_processor(math.ceil(float(request["processor_s"])))
-        _fix_seeds()
+        _seed(int(request["seed"]))
         import pytetwild
 
         points, tets = pytetwild.tetrahedralize(
@@ -284,22 +285,23 @@ def _child(given: str, made: str) -> None:
         np.savez(file, points=points, tets=np.asarray(tets, np.int64))
 
 
-def _fix_seeds() -> None:
-    """Start the mesher's random numbers from 0.
+def _seed(seed: int) -> None:
+    """Start the mesher's random numbers from ``seed``.
 
     Why: it takes no seed, but seeds its shuffles from ``std::random_device``. In this process,
-    which meshes and ends, that function is overwritten by one that returns 0. Where it can't be,
-    meshes of one surface differ by some percent in their numbers of points.
+    which meshes and ends, that function is overwritten by one that returns ours. Where it can't
+    be, meshes of one surface differ by some percent in their numbers of points.
     """
     if sys.platform == "linux" and platform.machine() == "x86_64":
+        code = b"\xf3\x0f\x1e\xfa\xb8" + seed.to_bytes(4, "little") + b"\xc3"  # mov eax, seed; ret
         with suppress(OSError, AttributeError):
             draw = ctypes.CDLL("libstdc++.so.6")._ZNSt13random_device9_M_getvalEv
             address = ctypes.cast(draw, ctypes.c_void_p).value or 0
             page = address - address % mmap.PAGESIZE
             access = mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC
-            size = address - page + len(_RETURN_0)
+            size = address - page + len(code)
             if not ctypes.CDLL(None).mprotect(ctypes.c_void_p(page), ctypes.c_size_t(size), access):
-                ctypes.memmove(address, _RETURN_0, len(_RETURN_0))
+                ctypes.memmove(address, code, len(code))
 
 
 def _end_with_parent() -> None:
