@@ -169,12 +169,12 @@ def test_in_time_a_held_press_creeps_slip_stays_and_another_place_begins_anew() 
 def test_a_press_at_rest_states_the_measured_cost_of_linear_theory(page: Any, live: LivePress) -> None:
     """One number: what `twin run` measures under the same press, no longer the law's, eight times as large."""
     table, _ = step(page, live.start().question())
-    assert "may be 7.0 % of the largest displacement off" in " ".join(table["contact"]["warnings"])
+    assert "may be 7.0 % of the largest displacement off" in " ".join(table["contact"]["notes"])
     table, _ = step(page, live.start().question() | {"measured": True})
     validity = live.environment.sensor.validity(live.environment.sensor.press())
-    assert f"is {100 * validity.linearisation_error:.2g} % of the largest" in table["contact"]["warnings"][0]
+    assert f"is {100 * validity.linearisation_error:.2g} % of the largest" in table["contact"]["notes"][0]
     assert validity.linearisation_basis == "measured"
-    assert "estimated" not in " ".join(table["contact"]["warnings"])
+    assert "estimated" not in " ".join(table["contact"]["notes"])
 
 
 def test_a_port_that_can_t_be_had_is_said_before_any_work(page: Any, monkeypatch: pytest.MonkeyPatch) -> None:

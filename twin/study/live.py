@@ -302,7 +302,8 @@ class LivePress:
                 "indentation_mm": state.indentation_mm,
                 "peak_pressure_mpa": state.peak_pressure_mpa,
                 "slip": float(np.mean(state.slip)) if state.friction else None,
-                "warnings": (*validity.warnings, *validity.notes, *told),
+                "warnings": validity.warnings,
+                "notes": (*validity.notes, *told),
             }
         return {
             "hand": hand.question(),
