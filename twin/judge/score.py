@@ -200,6 +200,22 @@ class _Patches(_Totals, Protocol):
     def centre_mm(self) -> Points: ...
 
 
+_FORCE_SCORES = (
+    "field_error",
+    "field_stated",
+    "field_error_normal",
+    "field_error_tangential",
+    "total_force_error",
+    "total_force_stated",
+    "total_force_error_axes",
+    "sites_force_error",
+    "torque_error",
+    "torque_error_nmm",
+    "torque_stated_nmm",
+    "centre_error_mm",
+)
+
+
 def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None) -> Score:
     """Score a reconstructed force field.
 
@@ -224,33 +240,16 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
         ``torque_stated_nmm``: what the estimate states of these errors, the root of the sum of its
         variances, of the first two over |f| and |F|. ``reasons``.
     """
-    result: Score = dict.fromkeys(
-        (
-            "field_error",
-            "field_stated",
-            "field_error_normal",
-            "field_error_tangential",
-            "total_force_error",
-            "total_force_stated",
-            "total_force_error_axes",
-            "sites_force_error",
-            "torque_error",
-            "torque_error_nmm",
-            "torque_stated_nmm",
-            "centre_error_mm",
-        )
-    )
+    result: Score = dict.fromkeys(_FORCE_SCORES)
     reasons: dict[str, str] = {}
-    # Check the shapes and refuse numbers that are not finite.
     truth, estimate = np.asarray(patches.force_n, float), np.asarray(field.force_n, float)
     surface_mm, site_mm = patches.centre_mm, field.site_mm
-    total_force_n, total_torque_nmm = field.total_force_n, field.total_torque_nmm
     _same_points(surface_mm, truth, "surface")
     _same_points(site_mm, estimate, "site")
     force = np.asarray(patches.total_force_n, float)
     torque = np.asarray(patches.total_torque_nmm, float)
-    numbers = (estimate, truth, total_force_n, total_torque_nmm, force, torque, site_mm, surface_mm)
-    if not all(np.isfinite(v).all() for v in numbers):
+    totals = (field.total_force_n, field.total_torque_nmm, force, torque)
+    if not all(np.isfinite(v).all() for v in (estimate, truth, *totals, site_mm, surface_mm)):
         return {
             **result,
             "reasons": dict.fromkeys(result, "truth or estimate hold numbers that are not finite"),
@@ -278,36 +277,45 @@ def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None)
             result[key] = float(np.linalg.norm(sd) / whole)
         else:
             reasons[key] = "the true force is zero"
-    # Error of the total force, from the linear solve and from the sum over the sites.
+    # Error of the totals, from the linear solve and from the sum over the sites.
+    error = field.total_force_n - force
     if size > 0:
-        result["total_force_error"] = float(np.linalg.norm(total_force_n - force) / size)
-        result["total_force_error_axes"] = [float(v) for v in (total_force_n - force) / size]
+        result["total_force_error"] = float(np.linalg.norm(error) / size)
+        result["total_force_error_axes"] = [float(v) for v in error / size]
         result["sites_force_error"] = float(np.linalg.norm(estimate.sum(axis=0) - force) / size)
     else:
         for key in ("total_force_error", "total_force_error_axes", "sites_force_error"):
             reasons[key] = "the true total force is zero"
-    # Error of the torque, relative to the torque itself or to the force on an arm of 1 mm.
     scale = max(float(np.linalg.norm(torque)), size * 1.0)
-    result["torque_error_nmm"] = float(np.linalg.norm(total_torque_nmm - torque))
+    result["torque_error_nmm"] = float(np.linalg.norm(field.total_torque_nmm - torque))
     if scale > 0:
         result["torque_error"] = result["torque_error_nmm"] / scale
     else:
         reasons["torque_error"] = "the true total force and torque are zero"
-    # Distance of the centres of pressure. Sites with a small part of the largest push are left
-    # out, because noise far out would move the centre.
-    true_push = truth[:, 2]
-    push = np.clip(estimate[:, 2], 0.0, None)
-    if size == 0 or true_push.sum() < LEAST_PUSH * size:
-        reasons["centre_error_mm"] = (
-            "the true force hardly pushes along z, so it has no centre of pressure"
-        )
-    elif push.max(initial=0.0) <= 0:
-        reasons["centre_error_mm"] = "the estimate pushes nowhere along z"
+    apart = _centre_error(site_mm, estimate[:, 2], surface_mm, truth[:, 2], size)
+    if isinstance(apart, str):
+        reasons["centre_error_mm"] = apart
     else:
-        push = np.where(push >= CENTRE_SHARE * push.max(), push, 0.0)
-        centres = [_centre(surface_mm, true_push), _centre(site_mm, push)]
-        result["centre_error_mm"] = float(np.linalg.norm(centres[1] - centres[0]))
+        result["centre_error_mm"] = apart
     return {**result, "reasons": reasons}
+
+
+def _centre_error(
+    site_mm: Points, push_n: Floats, surface_mm: Points, true_push_n: Floats, size_n: float
+) -> float | str:
+    """Return the distance of the centres of pressure, mm, or why there is none.
+
+    Sites with a small part of the largest push are left out, because noise far out would move the
+    centre.
+    """
+    push_n = np.clip(push_n, 0.0, None)
+    if size_n == 0 or true_push_n.sum() < LEAST_PUSH * size_n:
+        return "the true force hardly pushes along z, so it has no centre of pressure"
+    if push_n.max(initial=0.0) <= 0:
+        return "the estimate pushes nowhere along z"
+    push_n = np.where(push_n >= CENTRE_SHARE * push_n.max(), push_n, 0.0)
+    found, true = _centre(site_mm, push_n), _centre(surface_mm, true_push_n)
+    return float(np.linalg.norm(found - true))
 
 
 def _field_errors(error: Floats, truth: Floats, frames: Floats | None) -> dict[str, float | None]:
