@@ -21,21 +21,24 @@ the probe, and what all points slip in common is a slide of the probe, as in
 `twin.world.contact.contact_problem`.
 
 **Steps.** In each of Newton's the rubber is condensed to the nodes that may touch, by the Schur
-complement of its tangent, and contact is balanced there by an active set of points. An earlier
-state's tangent stays while steps shrink fast enough; that of linear theory never changes.
+complement of its tangent, and contact is balanced there by an active set of points. Without
+friction the tangent at rest will do at finite strain, too, where the last steps are mixed so that
+what they change cancels best (D. G. Anderson 1965, J. ACM 12): to factor a tangent takes as long as
+five to ten steps. Else, and where such steps don't settle, an earlier state's stays while steps
+shrink fast enough.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
@@ -82,6 +85,10 @@ _STEEPEST = 0.05
 
 _SLOW = 0.3
 """Newton's steps that shrink by less than to this share need the tangent at the present state."""
+
+_MIXED, _MIXED_STEPS, _MIXED_TO = 5, 10, 0.2
+"""How many changes are mixed, in how many steps at most, and how much shorter the last one is than
+Newton's, after which less is left."""
 
 _MOST_BALANCES, _BALANCED, _FULL_STEPS = 100, 1e-6, 15
 """Most iterations of a balance of contact, the relative step at which they end, and after how many
@@ -131,12 +138,12 @@ class Rubber(MixedRubber):
         nodes = np.arange(len(mesh.points))
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
 
-    def stiffness(self, unknowns: Floats, last: Ints) -> Factor:
+    def stiffness(self, tangent: Any, last: Ints) -> Factor:
         """Return the factor of the free unknowns' tangent, with the `Factor.schur` of some."""
         free = self._free
-        tangent = self.tangent(unknowns).tocsr()[free][:, free]
         scale, node = self._scale[free], self._node[free]
-        return Factor(tangent, scale, node=node, last=np.searchsorted(free, last))
+        last = np.searchsorted(free, last)
+        return Factor(tangent[free][:, free], scale, node=node, last=last)
 
     def moved_by(self, stiffness: Factor, force: Floats) -> Floats:
         """Return the change of the unknowns (n,) under forces (n,)."""
@@ -168,42 +175,26 @@ class Rubber(MixedRubber):
     def _swelling(self, cofactor: Floats, some: Ints) -> Floats:
         return (self._slopes[some] @ cofactor.swapaxes(2, 3)).reshape(*cofactor.shape[:2], 30)
 
-    @cached_property
-    def _pattern(self) -> tuple[Any, Ints]:
-        """The sum of the elements' blocks, and where (m, 34, 34) their entries are in it."""
-        whole = MixedRubber.summed(np.ones((len(self._row), 34, 34)), self._row, self.size)
-        whole.sort_indices()
-        keys = np.repeat(np.arange(self.size), np.diff(whole.indptr)) * self.size + whole.indices
-        wanted = self._row[:, :, None] * self.size + self._row[:, None, :]
-        return whole, np.searchsorted(keys, wanted)
-
-    def _added(self, blocks: Floats, some: Ints) -> Floats:
-        """Return the entries of the sum of some elements' blocks."""
-        whole, place = self._pattern
-        return MixedRubber.gathered(place[some], blocks, whole.nnz)
-
-    @cached_property
-    def _rest(self) -> tuple[Floats, Floats]:
-        """The blocks at rest, and the entries of their sum."""
-        every = np.arange(len(self._row))
-        blocks = self._chunked_blocks(np.zeros(self.size), every)
-        return blocks, self._added(blocks, every)
-
     def tangent(self, unknowns: Floats) -> Any:
         """See `MixedRubber.tangent`; that at rest where the strain is small."""
         gradient, _, _, pressure = self._strained(unknowns, np.arange(len(self._row)))
         change = np.abs(gradient - np.eye(3)).max(axis=(1, 2, 3))
         change = np.maximum(change, np.abs(pressure).max(axis=1) / self._shear)
         strained = np.flatnonzero(change > _STRAINED)
-        blocks, entries = self._rest
-        if len(strained):
-            more = self._chunked_blocks(unknowns, strained) - blocks[strained]
-            entries = entries + self._added(more, strained)
-        whole, _ = self._pattern
-        return csr_matrix((entries, whole.indices, whole.indptr), shape=whole.shape)
+        more = self._chunked_blocks(unknowns, strained) - self._chunked_blocks(
+            np.zeros(self.size), strained
+        )
+        return self.at_rest + MixedRubber.summed(more, self._row[strained], self.size)
+
+    @cached_property
+    def at_rest(self) -> Any:
+        """See `MixedRubber.at_rest`."""
+        every = np.arange(len(self._row))
+        blocks = self._chunked_blocks(np.zeros(self.size), every)
+        return MixedRubber.summed(blocks, self._row, self.size)
 
     def _chunked_blocks(self, unknowns: Floats, some: Ints) -> Floats:
-        parts = range(0, len(some), _CHUNK)
+        parts = range(0, max(len(some), 1), _CHUNK)
         return np.concatenate([self._blocks(unknowns, some[n : n + _CHUNK]) for n in parts])
 
 
@@ -231,6 +222,19 @@ class _Rub:
     grip: Floats  # (q, 3) its slope by the pressure
     slips: Bools  # (q,) whether it is at its bound
     slipped: Floats  # (q, 3) how far the points slipped over the probe, mm
+
+
+@dataclass(frozen=True)
+class _Springs:
+    """The springs of points that touch: their unknowns are some of the contact's displacements,
+    with these numbers ``nodes``, then the probes' motions."""
+
+    nodes: Ints
+    force: Floats  # what they take from each unknown
+    slope: Floats  # its slope
+    lacks: Floats  # what this lacks where points slip
+    after: Callable[[Floats, Floats], RubberContact.State]
+    """The state after a change of the contact's displacements and a step of the motions."""
 
 
 @dataclass(frozen=True)
@@ -453,6 +457,7 @@ class RubberContact:
         self._spring = _SPRING / size_mm
         self._gap_weight = _GAP_WEIGHT / size_mm
         self._friction = friction
+        self._rubs = friction > 0.0
         self._modulus_mpa = youngs_modulus_mpa
         self.touches = touches
         counts = [len(touch.rest_mm) for touch in touches]
@@ -462,16 +467,14 @@ class RubberContact:
         self._owner = np.repeat(np.arange(len(touches)), counts)
         self._weight = np.concatenate([touch.weights for touch in touches])
         self._area = np.concatenate([touch.area_mm2 for touch in touches])
-        # The contact's own unknowns: displacements of its nodes, then the probes' motions.
+        # The contact's own unknowns: displacements of its nodes.
         nodes, local = np.unique(
             np.concatenate([touch.nodes for touch in touches]), return_inverse=True
         )
         self._nodal = (3 * nodes[:, None] + np.arange(3)).ravel()
         self._free = rubber.are_free(self._nodal)
-        moved = (3 * local.reshape(-1, 6)[:, :, None] + np.arange(3)).reshape(-1, 18)
-        motions = len(self._nodal) + MOTIONS * self._owner[:, None] + np.arange(MOTIONS)
-        self._row = np.hstack([moved, motions])
-        self._kept: dict[bool, Factor] = {}
+        self._row = (3 * local.reshape(-1, 6)[:, :, None] + np.arange(3)).reshape(-1, 18)
+        self._tangent: Factor | None = None
 
     def at_rest(self) -> RubberContact.State:
         """Return the state in which nothing touches."""
@@ -496,21 +499,53 @@ class RubberContact:
         ``given`` (p, 6) are forces over Young's modulus, mm2, where ``by_force`` (p, 6), else
         places; ``to`` is `LAST_STEP` or `PART_STEP`.
         """
-        last = math.inf
+        tangent, last = self._at_rest, math.inf
+        steps: list[tuple[Floats, Floats]] = []
 
-        def after(one: RubberContact.State) -> RubberContact.State:
-            nonlocal last
-            new = self._step(one, by_force, given, linear=linear)
+        def stepped(one: RubberContact.State) -> RubberContact.State:
+            return self._step(one, tangent, by_force, given, linear=linear)
+
+        def mixed(one: RubberContact.State) -> RubberContact.State:
+            """Begin where the changes in the last steps, mixed, are least."""
+            if len(steps) > 1:
+                begun, ended = map(np.array, zip(*steps, strict=True))
+                change = (ended - begun)[:, : self.rubber.displacement(one.unknowns).size]
+                share = np.linalg.lstsq(np.diff(change, axis=0).T, change[-1], 1e-8)[0]
+                one = replace(one, unknowns=one.unknowns - share @ np.diff(ended, axis=0))
+            new = stepped(one)
+            steps.append((one.unknowns, new.unknowns))
+            del steps[: -_MIXED - 1]
+            return new
+
+        def renewed(one: RubberContact.State) -> RubberContact.State:
+            """Take the present tangent where the last one's steps are slow."""
+            nonlocal tangent, last
+            if self._tangent is None:
+                now = self.rubber.tangent(one.unknowns)
+                self._tangent = self.rubber.stiffness(now, self._nodal[self._free])
+            tangent = self._tangent
+            new = stepped(one)
             step = MixedRubber.largest(displacement(new) - displacement(one))
-            if step > _SLOW * last and not linear:
-                self._kept.pop(linear, None)
+            if step > _SLOW * last:
+                self._tangent = None
             last = step
             return new
 
         def displacement(one: RubberContact.State) -> Points:
             return self.rubber.displacement(one.unknowns)
 
-        return MixedRubber.newton(after, displacement, state, MOST_STEPS, to, self.rubber.law_name)
+        law = self.rubber.law_name
+        if linear:
+            return MixedRubber.newton(stepped, displacement, state, MOST_STEPS, to, law)
+        if not self._rubs:
+            with suppress(NotSettled):
+                most, end = _MIXED_STEPS, _MIXED_TO * to
+                return MixedRubber.newton(mixed, displacement, state, most, end, law)
+        return MixedRubber.newton(renewed, displacement, state, MOST_STEPS, to, law)
+
+    @cached_property
+    def _at_rest(self) -> Factor:
+        return self.rubber.stiffness(self.rubber.at_rest, self._nodal[self._free])
 
     def rubbed(
         self,
@@ -600,21 +635,23 @@ class RubberContact:
         return replace(state, anchors=replace(state.anchors, place=place))
 
     def _step(
-        self, state: RubberContact.State, by_force: Bools, given: Floats, *, linear: bool
+        self,
+        state: RubberContact.State,
+        stiffness: Factor,
+        by_force: Bools,
+        given: Floats,
+        *,
+        linear: bool,
     ) -> RubberContact.State:
         """Return the state after one Newton step of the rubber, in balance with contact."""
         # The rubber without contact, condensed to the nodes that may touch
         rubber, nodal = self.rubber, self._nodal
-        if linear not in self._kept:
-            start = np.zeros(rubber.size) if linear else state.unknowns
-            self._kept[linear] = rubber.stiffness(start, nodal[self._free])
-        stiffness = self._kept[linear]
         internal = rubber.internal(state.unknowns, linear=linear)
         loose = state.unknowns + rubber.moved_by(stiffness, -internal)
         # Contact on these, and what its forces move elsewhere
         pose = np.where(by_force, state.pose, given)
         now, force = self._balanced(
-            replace(state, pose=pose), loose[nodal], stiffness.schur, by_force, given, linear=linear
+            replace(state, pose=pose), loose[nodal], stiffness, by_force, given, linear=linear
         )
         push = np.zeros(rubber.size)
         push[nodal] = force
@@ -624,52 +661,73 @@ class RubberContact:
         self,
         state: RubberContact.State,
         loose: Floats,
-        schur: Floats,
+        stiffness: Factor,
         by_force: Bools,
         given: Floats,
         *,
         linear: bool,
     ) -> tuple[RubberContact.State, Floats]:
-        """Return the state in which contact balances the stiffness (m, m) of its nodes, and the
-        forces on these; ``loose`` is where they are without contact."""
-        count = len(loose)
+        """Return the state in which contact balances the rubber condensed to its nodes, and the
+        forces on these (m,); ``loose`` is where they are without contact.
+
+        Only nodes of points that touch bear forces: those alone are unknowns.
+        """
+        free = self._free
+        number = np.cumsum(free) - 1
         moved = self.rubber.displacement(state.unknowns).ravel()[self._nodal]
-        here = np.concatenate([moved, state.pose.ravel()])
-        free = np.concatenate([self._free, by_force.ravel()])
-        body = np.flatnonzero(self._free)
+        pose, held = state.pose.ravel(), ~by_force.ravel()
+        force = np.zeros(len(loose))
+        force[free] = stiffness.schur @ (moved - loose)[free]
         trust, last, settled = 0.0, math.inf, False
         for taken in range(_MOST_BALANCES):
             if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
-                held = state.anchors.on & (state.pressure > 0.0)
-                state = replace(state, anchors=replace(state.anchors, on=held))
-            out, matrix, lacks, after = self._springs(state, here, linear=linear)
-            out[body] += schur @ (here[body] - loose[body])
-            out[count:] -= np.where(by_force, given, 0.0).ravel()
-            matrix[np.ix_(body, body)] += schur
+                on = state.anchors.on & (state.pressure > 0.0)
+                state = replace(state, anchors=replace(state.anchors, on=on))
+            springs = self._springs(state, moved, pose, linear=linear)
+            out, nodes = springs.force, springs.nodes
+            motions = len(nodes)
+            out[motions:] -= np.where(held, 0.0, given.ravel())
+            amiss = force.copy()
+            amiss[nodes] += out[:motions]
+            size = math.hypot(np.linalg.norm(amiss[free]), np.linalg.norm(out[motions:][~held]))
             # Where slip swings, friction keeps the resistance of its springs' secant, which settles
             # slowly: once points neither come nor go, any decrease ends it.
-            size = float(np.linalg.norm(out[free]))
             trust = min(1.0, trust + 0.5) if size < (1.0 if settled else 0.7) * last else 0.0
             last = size
-            matrix -= trust * lacks
-            step = np.zeros(len(here))
+            matrix = springs.slope - trust * springs.lacks
+            # How far nodes go from where they are loose, and the motions' step
+            sought = np.concatenate([free[nodes], ~held])
+            nodes = nodes[free[nodes]]
+            rows, bearing = number[nodes], np.zeros_like(force)
+            away = np.zeros(len(sought))
+            away[:motions][sought[:motions]] = (moved - loose)[nodes]
+            right = (matrix @ away - out)[sought]
+            matrix = matrix[np.ix_(sought, sought)]
+            step = np.zeros(len(pose))
             try:
-                step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], out[free])
+                rigid = np.linalg.inv(stiffness.compliance[np.ix_(rows, rows)])
+                matrix[: len(nodes), : len(nodes)] += rigid
+                found = np.linalg.solve(matrix, right)
             except np.linalg.LinAlgError as problem:
                 raise NotSettled("contact: nothing holds the probe at finite strain") from problem
+            bearing[nodes] = rigid @ found[: len(nodes)]
+            step[~held] = found[len(nodes) :]
+            change = np.where(free, loose - moved, 0.0)
+            change[free] += stiffness.compliance[:, rows] @ bearing[nodes]
             if not settled and taken > _FULL_STEPS:  # points that come and go
-                step *= 0.5 if taken < 2 * _FULL_STEPS else 0.25
-            here = here + step
-            before, state = state, after(step)
+                share = 0.5 if taken < 2 * _FULL_STEPS else 0.25
+                bearing = force + share * (bearing - force)
+                change, step = share * change, share * step
+            moved, pose, force = moved + change, pose + step, bearing
+            before, state = state, springs.after(change, step)
             settled = np.array_equal(before.active, state.active)
             settled = settled and np.array_equal(before.slips, state.slips)
-            if settled and np.abs(step).max() < _BALANCED * np.abs(here).max():
+            most = max(np.abs(moved).max(), np.abs(pose).max())
+            if settled and max(np.abs(change).max(), np.abs(step).max()) < _BALANCED * most:
                 break
         else:
             raise NotSettled("contact: at finite strain the probe does not come to balance")
-        force = np.zeros(count)
-        force[body] = schur @ (here[body] - loose[body])
-        return replace(state, pose=here[count:].reshape(-1, MOTIONS)), force
+        return replace(state, pose=pose.reshape(-1, MOTIONS)), force
 
     def _meet(
         self, moved: Points, pose: Floats, state: RubberContact.State, *, linear: bool
@@ -712,16 +770,14 @@ class RubberContact:
         )
 
     def _springs(
-        self, state: RubberContact.State, here: Floats, *, linear: bool
-    ) -> tuple[Floats, Floats, Floats, Callable[[Floats], RubberContact.State]]:
-        """Return what the springs take from the contact's nodes and the probes, its slope, what
-        this lacks where points slip, and the state after a step."""
+        self, state: RubberContact.State, moved: Floats, pose: Floats, *, linear: bool
+    ) -> _Springs:
+        """Return the springs of points that touch, where the contact's nodes and the probes went
+        to."""
         # Which points touch?
-        count = len(self._nodal)
-        moved = self.rubber.displacement(state.unknowns).copy()
-        moved.reshape(-1)[self._nodal] = here[:count]
-        pose = here[count:].reshape(-1, MOTIONS)
-        met = self._meet(moved, pose, state, linear=linear)
+        displacement = self.rubber.displacement(state.unknowns).copy()
+        displacement.reshape(-1)[self._nodal] = moved
+        met = self._meet(displacement, pose.reshape(-1, MOTIONS), state, linear=linear)
         weighed = state.pressure - self._gap_weight * (met.gap + state.pressure / self._spring)
         active = weighed > 0.0 if state.pressure.any() else state.active
         active = active & np.isfinite(met.gap)
@@ -730,7 +786,10 @@ class RubberContact:
         on = np.flatnonzero(active)
         rub = self._rub(met, state.anchors)
         resistance, rubbed, grip = rub.resistance[on], rub.force[on], rub.grip[on]
-        pressed, area, row = state.pressure[on], self._area[on], self._row[on]
+        pressed, area = state.pressure[on], self._area[on]
+        nodes, row = np.unique(self._row[on], return_inverse=True)
+        motions = len(nodes) + MOTIONS * self._owner[on, None] + np.arange(MOTIONS)
+        row = np.hstack([row.reshape(-1, 18), motions])
 
         def spread(vectors: Floats, motions: Floats) -> Floats:
             at_nodes = (self._weight[on, :, None] * vectors[:, None, :]).reshape(len(on), 18)
@@ -747,18 +806,19 @@ class RubberContact:
         block += (self._spring * area)[:, None, None] * gripped[:, :, None] * slope[:, None, :]
         out = (self._spring * area * met.gap[on])[:, None] * carried
         out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed)
-        size = len(here)
+        size = len(nodes) + len(pose)
         place = size * row[:, :, None] + row[:, None, :]
 
         def matrix(blocks: Floats) -> Floats:
             return MixedRubber.gathered(place, blocks, size * size).reshape(size, size)
 
-        def after(step: Floats) -> RubberContact.State:
+        def after(change: Floats, motion: Floats) -> RubberContact.State:
             pressure = np.zeros(len(active))
-            change = np.einsum("qr,qr->q", slope, step[row])
-            pressure[on] = -self._spring * (met.gap[on] + change)
-            pulled = rubbed - np.einsum("qij,qjr,qr->qi", resistance, across, step[row])
-            pulled -= self._spring * change[:, None] * grip
+            step = np.concatenate([change[nodes], motion])[row]
+            closed = np.einsum("qr,qr->q", slope, step)
+            pressure[on] = -self._spring * (met.gap[on] + closed)
+            pulled = rubbed - np.einsum("qij,qjr,qr->qi", resistance, across, step)
+            pulled -= self._spring * closed[:, None] * grip
             forces = area[:, None] * (pressure[on, None] * met.lift[on])
             forces += area[:, None] * np.einsum("qi,qim->qm", pulled, met.carry[on])
             total = np.zeros_like(state.pose)
@@ -768,7 +828,13 @@ class RubberContact:
 
         along = np.einsum("qkr,qk->qr", across, rub.along[on])
         lacks = area[:, None, None] * along[:, :, None] * along[:, None, :]
-        return MixedRubber.gathered(row, out, size), matrix(block), matrix(lacks), after
+        return _Springs(
+            nodes=nodes,
+            force=MixedRubber.gathered(row, out, size),
+            slope=matrix(block),
+            lacks=matrix(lacks),
+            after=after,
+        )
 
     def _anchored(
         self, before: RubberContact.State, free: RubberContact.State, *, linear: bool

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
+from functools import cached_property
 from importlib.util import find_spec
 from typing import Any, ClassVar, Literal
 
@@ -114,6 +115,11 @@ class Factor:
                     self._root[last], self._root[last]
                 )
                 """(m, m) Stiffness of the ``last`` unknowns while nothing acts on the others."""
+
+    @cached_property
+    def compliance(self) -> Floats:
+        """(m, m) How the ``last`` unknowns move by forces on them."""
+        return np.asarray(np.linalg.inv(self.schur))
 
     def solve(self, right: Floats, goal: float = GOAL) -> Floats:
         """Return the solution (n, m) or (n,) for ``right`` of the same shape; `residual` keeps the
