@@ -646,7 +646,7 @@ def test_a_marker_of_which_half_is_hidden_is_measured_by_the_other_half(width, s
         (10.0, 1.6, 0.02, np.asarray, 1.3),
         (8.0, 1.6, 0.02, np.asarray, 1.8),
         (8.0, 0.7, 0.14, partial(jpeg, quality=60), 2.2),
-        (15.0, 0.7, 0.31, partial(jpeg, quality=60), 1.5),
+        (15.0, 0.7, 0.31, partial(jpeg, quality=60), 1.05),
         (8.0, 0.7, 0.31, CAMERAS["both"], 2.4),
     ],
 )
@@ -923,12 +923,14 @@ def test_strange_spots_are_told_and_taken_for_no_marker():
 
 
 def test_a_sequence_goes_anywhere():
-    """Small steps to more than a pitch away, one marker hidden on the way; then a jump of half a pitch."""
+    """Small steps to more than a pitch away, one to seven hidden on the way; then a jump of half a pitch."""
     tracker = Tracker(picture(0.0, 1), LAYOUT)
     for number in range(1, 12):
         shift = np.tile([3.0 * number, 1.5 * number], (len(joined(LAYOUT)), 1))
         if 3 < number < 7:
             shift[20] = np.nan
+        if number in (4, 5):  # no reason to start anew
+            shift[:48:8] = np.nan
         found = tracker.track(picture(shift, number))
         inside = ((joined(LAYOUT) + shift < np.array(SIZE) - 7) & np.isfinite(shift)).all(axis=1)
         assert found.seen[inside].all()

@@ -149,6 +149,10 @@ LEAST_PART, WORST_PART_PX, PART_SETTLED_PX = 0.2, 0.1, 0.05
 """A partly hidden marker is measured by at least this share of its edge's information, to at least
 this standard deviation, by a fit whose last step was smaller than the last."""
 
+PART_ROUGHER = 1.3
+"""Errors of parts in sight under compression, over those that residuals show: a marker's own
+pattern, a glint for one, pulls where it fills more of what is left."""
+
 UNSETTLED_PX = 0.3
 """A fit whose last step was larger has found nothing."""
 
@@ -587,6 +591,7 @@ class DiscFit(SoftWindow):
             lost = self._light_lost(fitted, fine, -DIMS)[rows] * ~cut[rows]
             lacks = np.fmax(LOST_MOVES * radius[rows] * lost - moved, 0.0)
             part[:, DIFFERENCE] = lacks / np.sqrt(2.0)
+            part[~cut[rows], VARIANCE] *= PART_ROUGHER**2
         part[:, EDGE] = np.where(part[:, EDGE] < WHOLE_EDGE, LEAST_EDGE, 1.0)
         part[:, RESHAPED] = PART_IN_SIGHT
         fitted[rows[good]] = part[good]
