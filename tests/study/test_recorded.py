@@ -262,6 +262,12 @@ def test_another_sensors_calibration_is_doubted(long_recording, tmp_path):
         assert all("twin calibrate" in reason for reason in felt(tmp_path, rest, other, frames[5:7])["reason"])
     half = replace(calibration, layout_px=layout + np.where(blue, [200.0, 0.0], 0.0))
     assert "calibration's 83 markers" in felt(tmp_path, rest, half, frames[6:7])["reason"][0]
+    sized = replace(calibration, provenance=json.dumps({"picture_px": list(rest.shape[1::-1])}))
+    assert felt(tmp_path, rest, sized, frames[6:7])["reason"] == [""]
+    Image.fromarray(rest[:-2]).save(tmp_path / "rest.png")
+    done = twin("rest.png", "0.png", "--calibration", "known.npz", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "320 x 258 pixels, the calibration is of a camera of 320 x 260" in done.stderr
 
 
 def test_a_bad_frame_is_told_and_the_sequence_goes_on(folder):

@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Bools, Floats, Pixels, Points, frozen
+from twin.arrays import Bools, Floats, Picture, Pixels, Points, frozen
 from twin.display import html_table, one_line
 from twin.errors import InputError, TwinError
 from twin.files import read_arrays, write_whole
@@ -281,6 +281,17 @@ class Calibration:
     def has_camera(self) -> bool:
         """Whether `bend_px` can be asked."""
         return self.compliance.size > 0
+
+    def require_size(self, picture: Picture) -> None:
+        """Raise an `InputError` where a picture isn't as large as the calibrated camera's, whose
+        size `provenance` holds as ``picture_px`` where it is known."""
+        size = [picture.shape[1], picture.shape[0]]
+        if (known := self.facts.get("picture_px", size)) != size:
+            raise InputError(
+                f"the picture has {size[0]} x {size[1]} pixels, the calibration is of a camera of "
+                f"{' x '.join(map(str, known))}: record in that mode, or set camera.width_px and "
+                "height_px in the recipe and make a calibration of this one"
+            )
 
     @staticmethod
     def camera_text(camera: Camera, body_index: float, base_z_mm: float) -> str:

@@ -513,6 +513,7 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
         "scale_error": scene.scale_error if drawn else 0.0,
         "camera_error": [room.pupil_mm, room.tilt_deg] if drawn else [0.0, 0.0],
         "mesh_error": mesh if method == "compliance" else 0.0,
+        "picture_px": scene.camera and [scene.camera.width_px, scene.camera.height_px],
         "seed": scene.seed,
         "versions": {name: version(name) for name in PACKAGES},
     }

@@ -234,6 +234,7 @@ def _reconstruct_frames(
     """Yield the result of every frame. With ``clock`` forces are those of the calibration's rubber
     as it relaxes; over frames that fail, displacements are taken to change linearly."""
     # The rest picture must show the markers of the calibrated sensor.
+    calibration.require_size(rests[0])
     width = calibration.diameter_px
     tracker = Tracker(rests, calibration.layout, diameter_px=width if np.isfinite(width) else None)
     known: Bools = np.asarray(np.isfinite(tracker.rest.rest_px).all(axis=1))
