@@ -127,7 +127,18 @@ class _Pinned:
 PINNED = _Pinned()
 
 
-FILES = (".h5", ".hdf5", ".parquet", ".csv", ".json", ".npz", ".png", ".mp4", ".toml", ".html")
+_FILE_ENDINGS = (
+    ".csv",
+    ".h5",
+    ".hdf5",
+    ".html",
+    ".json",
+    ".mp4",
+    ".npz",
+    ".parquet",
+    ".png",
+    ".toml",
+)
 """Endings that no new folder of results gets."""
 
 
@@ -136,7 +147,7 @@ def make_folder(folder: Path) -> None:
 
     Where it can't be made or written, or is named like a file, an `InputError` is raised.
     """
-    if folder.suffix.lower() in FILES and not folder.exists():
+    if folder.suffix.lower() in _FILE_ENDINGS and not folder.exists():
         raise InputError(
             f"{folder}: the output is a folder, and {folder.suffix} a file's ending: leave it out "
             "(twin export writes a dataset as files)"

@@ -68,6 +68,15 @@ def test_a_factor_of_no_forces_is_refused(factor):
         dataclasses.replace(CALIBRATION, provenance=json.dumps({"scale_error": factor}))
 
 
+@pytest.mark.parametrize("size", [640, [640], [640, "480"], [0, 480], {"width": 640}])
+def test_a_picture_size_that_is_none_is_refused_when_it_is_read(size):
+    """An unknown one is none to compare with."""
+    with pytest.raises(InputError, match=r"calibration: picture_px = .* must be a width and a height"):
+        dataclasses.replace(CALIBRATION, provenance=json.dumps({"picture_px": size}))
+    unknown = dataclasses.replace(CALIBRATION, provenance=json.dumps({"picture_px": None}))
+    unknown.require_size(np.zeros((4, 5, 3), np.uint8))
+
+
 def test_damaged_files(tmp_path):
     path = tmp_path / "c.npz"
     with pytest.raises(InputError, match="does not exist"):

@@ -158,7 +158,7 @@ class Calibration:
                 json.loads(getattr(self, name))
             except (ValueError, RecursionError) as problem:
                 raise InputError(f"calibration: {name} must be JSON text ({problem})") from None
-        for checked in ("relaxation", "scale_error", "mesh_error", "_camera_error"):
+        for checked in ("relaxation", "scale_error", "mesh_error", "_camera_error", "_picture_px"):
             getattr(self, checked)  # bad ones are refused here
         if self.has_camera:
             self._optics  # noqa: B018  a bad camera is refused here
@@ -285,13 +285,27 @@ class Calibration:
     def require_size(self, picture: Picture) -> None:
         """Raise an `InputError` where a picture isn't as large as the calibrated camera's, whose
         size `provenance` holds as ``picture_px`` where it is known."""
-        size = [picture.shape[1], picture.shape[0]]
-        if (known := self.facts.get("picture_px", size)) != size:
+        height, width = picture.shape[:2]
+        known = self._picture_px
+        if known is not None and known != (width, height):
             raise InputError(
-                f"the picture has {size[0]} x {size[1]} pixels, the calibration is of a camera of "
-                f"{' x '.join(map(str, known))}: record in that mode, or set camera.width_px and "
+                f"the picture has {width} x {height} pixels, the calibration is of a camera of "
+                f"{known[0]} x {known[1]}: record in that mode, or set camera.width_px and "
                 "height_px in the recipe and make a calibration of this one"
             )
+
+    @property
+    def _picture_px(self) -> tuple[int, int] | None:
+        found = self.facts.get("picture_px")
+        if found is None:
+            return None
+        if not (
+            isinstance(found, list)
+            and len(found) == 2
+            and all(isinstance(one, int) and one > 0 for one in found)
+        ):
+            raise InputError(f"calibration: picture_px = {found!r} must be a width and a height")
+        return found[0], found[1]
 
     @staticmethod
     def camera_text(camera: Camera, body_index: float, base_z_mm: float) -> str:

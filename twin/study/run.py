@@ -421,7 +421,7 @@ class _Stages:
     def _warnings(self, tracking: Mapping[str, Any] | None) -> list[str]:
         """Return what is doubtful in the scene, its pictures and its tracking."""
         scene = self.scene
-        warned = list(doubts(scene))
+        warned = doubts(scene)
         if "picture" in self.needed:
             if self.state is not None or scene.tractions:
                 shift_px = self.truth.marker_pressed_px - self.truth.marker_rest_px
