@@ -65,6 +65,18 @@ def assert_near(got, expected, share):
     np.testing.assert_allclose(got, expected, atol=share * np.abs(expected).max())
 
 
+def asymmetry(stiff, patches):
+    """Return how far patches' compliance is from symmetric, over its largest entry (Betti's theorem)."""
+    matrix = stiff.to_points(patches.centre_mm, patches, reused=True)
+    return np.abs(matrix - matrix.T).max() / np.abs(matrix).max()
+
+
+def assert_holder_balances(system, atol):
+    """Check that the holder's force is minus any load: by reciprocity, as its motion moves all alike."""
+    all_alike = np.tile(np.eye(3), (len(system.mesh.points), 1, 1))
+    np.testing.assert_allclose(system.solve(0.0 * all_alike, all_alike), all_alike, atol=atol)
+
+
 def nearest_node(mesh, point=(0.0, 0.0, 0.0)):
     """Return which node of a mesh is nearest to a point."""
     return int(np.argmin(np.linalg.norm(mesh.points - np.asarray(point), axis=1)))

@@ -65,20 +65,14 @@ _TILE = 128
 """Rows and columns at a time: two tiles stay in the fast memory."""
 
 
-def _make_symmetric(matrix: Floats) -> float:
-    """Replace a (n, n) matrix by the mean of it and its transpose; return its largest asymmetry
-    before, over its largest entry (0 of a matrix of zeros)."""
-    largest, differ = 0.0, 0.0
+def _make_symmetric(matrix: Floats) -> None:
+    """Replace a (n, n) matrix by the mean of it and its transpose."""
     for i in range(0, len(matrix), _TILE):
         for j in range(i, len(matrix), _TILE):
-            one = matrix[i : i + _TILE, j : j + _TILE]
-            other = matrix[j : j + _TILE, i : i + _TILE].T
-            largest = max(largest, np.abs(one).max(), np.abs(other).max())
-            differ = max(differ, np.abs(one - other).max())
-            mean = 0.5 * (one + other)
+            mean = matrix[i : i + _TILE, j : j + _TILE] + matrix[j : j + _TILE, i : i + _TILE].T
+            mean *= 0.5
             matrix[i : i + _TILE, j : j + _TILE] = mean
             matrix[j : j + _TILE, i : i + _TILE] = mean.T
-    return float(differ / largest) if largest > 0.0 else 0.0
 
 
 Method = Literal["subtracted", "direct"]
@@ -129,7 +123,6 @@ class Compliance:
         self.material = material
         self.level: Level = level
         self.method: Method = method
-        self.asymmetry = 0.0
         self._given_mesh = mesh
         self._given_compared = compared
         self._progress = progress
@@ -346,11 +339,10 @@ class Compliance:
         """Return the symmetric (3 k, 3 k) displacement in mm/N of the rectangles' centres per unit
         force on each.
 
-        Betti's theorem makes it symmetric for small patches; `asymmetry` keeps how far, relative to
-        the largest entry, it was from that before it was made so. Raises like `displacement`.
+        Betti's theorem makes it symmetric for small patches. Raises like `displacement`.
         """
         matrix = self.to_points(rectangles.centre_mm, rectangles, reused=True)
-        self.asymmetry = _make_symmetric(matrix)
+        _make_symmetric(matrix)
         return matrix
 
     def normal_surface(self, rectangles: Rectangles) -> Floats | None:
@@ -367,7 +359,7 @@ class Compliance:
         if (layer := self._layer_beside(table)) is not None:
             whole = layer.compliance(known.points, rectangles, self._modulus)
             matrix += whole[2::3, 2::3]
-        self.asymmetry = _make_symmetric(matrix)
+        _make_symmetric(matrix)
         return matrix
 
     def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:

@@ -89,9 +89,10 @@ def unbalanced(
     for load, cases in zip(
         loads, columns or [load.force_n[:, :, None] for load in loads], strict=True
     ):
-        forces.append(_nodal_forces(surface, load, cases, top.poisson_ratio, layer))
+        balls = _balls(load)
+        forces.append(_nodal_forces(surface, load, balls, cases, top.poisson_ratio, layer))
         if below is not None:
-            _balance(surface, below, load, cases, top.poisson_ratio, forces[-1])
+            _balance(surface, below, load, balls, cases, top.poisson_ratio, forces[-1])
         swollen.append(_dilation(mesh, system.pressure, swelling, load, cases, top.poisson_ratio))
         held.append(np.zeros_like(forces[-1]))
         if layer is None:  # else the known part is zero there
@@ -378,6 +379,7 @@ are merged into cells, so many across."""
 def _nodal_forces(
     surface: _Skin,
     load: Rectangles,
+    balls: tuple[Points, Floats],
     columns: Floats,
     poisson_ratio: float,
     layer: BondedLayer | None,
@@ -403,7 +405,6 @@ def _nodal_forces(
     if len(load) == 0:
         return out
     unbalanced = ~_in_plane(surface.points[surface.faces], load) & (surface.weight != 0.0)
-    balls = _balls(load)
     columns = for_kernel(columns)
     afar = _from_afar(load, columns)
     for inside in (False, True):
@@ -440,7 +441,13 @@ def _add_parts(
 
 
 def _balance(
-    surface: _Skin, below: _Skin, load: Rectangles, columns: Floats, nu: float, out: Floats
+    surface: _Skin,
+    below: _Skin,
+    load: Rectangles,
+    balls: tuple[Points, Floats],
+    columns: Floats,
+    nu: float,
+    out: Floats,
 ) -> None:
     """Make nodal forces (N, 3, m) of free faces balance the load and the half-space's tractions on
     the held ones ``below``.
@@ -449,7 +456,6 @@ def _balance(
     times its share.
     """
     on_held = np.zeros_like(out)
-    balls = _balls(load)
     columns = for_kernel(columns)
     at = _quadrature(below, np.arange(len(below.faces)), *balls, FINEST)
     _add_parts(at, balls, (load, columns), _from_afar(load, columns, merge=False), nu, on_held)

@@ -32,7 +32,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, coordinates
 from twin.errors import InputError, MeshError, SolveError
 from twin.parts.material import Cover, Material, shear_modulus
-from twin.world.elasticity.factor import GOAL, Factor, Solver
+from twin.world.elasticity.factor import GOAL, Factor
 from twin.world.mesh.elements import inverses, quadrature, shapes, signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
 
@@ -53,8 +53,6 @@ class TaylorHood:
         Quadratic tetrahedra; ``mesh.piece`` defines which faces are held.
     poisson_ratio
         nu in [-0.5, 0.5].
-    solver
-        See `twin.world.elasticity.factor.Factor`.
     held
         (N,) which nodes are held; those of the mesh's last piece if not given.
     layers
@@ -101,7 +99,6 @@ class TaylorHood:
         self,
         mesh: Mesh,
         poisson_ratio: float,
-        solver: Solver = "auto",
         *,
         held: Bools | None = None,
         layers: Sequence[TaylorHood.Layer] = (),
@@ -110,7 +107,6 @@ class TaylorHood:
         self.poisson_ratio = poisson_ratio
         self.made_of = (TaylorHood.Layer(modulus_ratio=1.0, poisson_ratio=poisson_ratio), *layers)
         _check(self.made_of, mesh)
-        self._solver: Solver = solver
         if held is None:
             held = np.zeros(len(mesh.points), bool)
             held[mesh.faces[mesh.piece == mesh.piece.max()]] = True
@@ -182,7 +178,7 @@ class TaylorHood:
         corner[self.pressure] = self.mesh.tets[:, :4]
         node = np.concatenate([np.repeat(np.arange(len(self.mesh.points)), 3), corner])
         free = self._free
-        return Factor(self._matrix[free][:, free], scale[free], self._solver, node=node[free])
+        return Factor(self._matrix[free][:, free], scale[free], node=node[free])
 
     def solve(
         self,
@@ -213,19 +209,9 @@ class TaylorHood:
         InputError
             A force or a given displacement is not finite.
         """
-        solution = self._solve(force, held_to, goal, dilation)
-        return solution[: 3 * len(self.mesh.points)].reshape(force.shape)
-
-    def _solve(
-        self,
-        force: Floats,
-        held_to: Floats | None = None,
-        goal: float = GOAL,
-        dilation: Floats | None = None,
-    ) -> Floats:
         right, solution = self._right(force, held_to, dilation)
         solution[self._free] = self.factor.solve(right, goal)
-        return solution
+        return solution[: 3 * len(self.mesh.points)].reshape(force.shape)
 
     def _right(
         self, force: Floats, held_to: Floats | None, dilation: Floats | None
@@ -277,13 +263,6 @@ class TaylorHood:
         return np.asarray(influence.T @ right + (reading @ held).reshape(-1, columns)).reshape(
             -1, 3, columns
         )
-
-    def reaction(self, force: Floats) -> Floats:
-        """Return the holder's (3, m) total force on the body under nodal forces (N, 3, m): minus
-        the load."""
-        nodes = len(self.mesh.points)
-        out = (self._matrix @ self._solve(force))[: 3 * nodes].reshape(force.shape) - force
-        return np.asarray(out[self.held].sum(axis=0))
 
 
 def _require_solvable(mesh: Mesh, held: Bools) -> None:
