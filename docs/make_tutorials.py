@@ -116,12 +116,12 @@ def _page(text: str, notebook: Any, stem: Path, work: Path) -> str:
 
 def make_commands(path: Path) -> None:
     """Write the page of the command line: the help of every command."""
-    lines = ["# The command line: help of every command", "", "What `twin COMMAND --help` prints.", ""]
+    lines = ["# The command line: help of every command", "", "What `twin --help` and `twin COMMAND --help` print."]
     wide = {**os.environ, "COLUMNS": "84"}
-    for name in sorted(name for name in app if not name.startswith("-")):
-        command = [sys.executable, "-m", "twin", name, "--help"]
+    for name in ["", *sorted(name for name in app if not name.startswith("-"))]:
+        command = [sys.executable, "-m", "twin", *name.split(), "--help"]
         said = subprocess.run(command, capture_output=True, text=True, check=True, env=wide).stdout
-        lines += [f"## twin {name}", "", "```text", said.strip(), "```", ""]
+        lines += ["", f"## twin {name}".rstrip(), "", "```text", said.strip(), "```"]
     path.write_text("\n".join(lines), encoding="utf-8")
 
 

@@ -6,7 +6,6 @@ A command is a function of `twin.commands`.
 from __future__ import annotations
 
 import contextlib
-import errno
 import importlib.metadata
 import inspect
 import io
@@ -28,14 +27,16 @@ from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, Unused
 from twin import commands
 from twin.blas_threads import THREADS, set_environment
 from twin.errors import InputError, RecipeError, TwinError
-from twin.files import plain
+from twin.files import plain, unwritable
 
 app = App(
     name="twin",
     version=lambda: importlib.metadata.version("tactile-twin"),
     help="Physics-based digital twin of camera-based tactile sensors.",
     help_epilogue="Example: twin run kamiyama_pillar -s press.force_n='{z=5}' --out out/five\n\n"
-    "Every command takes --threads N (or TWIN_THREADS): the threads of numeric libraries.",
+    "Every command takes --threads N (or TWIN_THREADS): the threads of numeric libraries.\n\n"
+    "Exit codes: 0 done; 1 failed, or the disk is full; 2 the input must be mended; 3 done, but "
+    "some parts failed; 4 this machine lacks something; 130 interrupted.",
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
     result_action="return_none",
@@ -156,9 +157,6 @@ for _command in (
 ):
     _add(_command)
 
-
-FULL = {errno.ENOSPC, errno.EFBIG, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}
-"""Errors of a full or read-only disk."""
 
 NARROWEST = 20
 """Columns below which help can't be laid out: the library that does it fails, or never ends."""
@@ -282,17 +280,11 @@ def _unexpected(problem: Exception, heard: bool) -> int:
             file=sys.stderr,
         )
         return 2
-    if isinstance(problem, OSError) and problem.errno in FULL:
+    if isinstance(problem, OSError) and problem.errno and unwritable("", problem).exit_code == 1:
         # of standard output, a temporary file, or a library's own
         _drop_output()
-        where = (
-            problem.filename or f"standard output, or a file in --out or {tempfile.gettempdir()}"
-        )
-        print(
-            f"twin: {where}: can't be written ({problem.strerror}); files written so far are "
-            "whole. Make room or name another folder (--out, TWIN_CACHE, TMPDIR), and run again.",
-            file=sys.stderr,
-        )
+        where = f"standard output, or a file in --out or {tempfile.gettempdir()}"
+        print(f"twin: {unwritable(problem.filename or where, problem)}", file=sys.stderr)
     else:
         print(f"twin: internal error: {type(problem).__name__}: {problem}", file=sys.stderr)
         print("Set TWIN_DEBUG=1 to see where, and please report it.", file=sys.stderr)

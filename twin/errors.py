@@ -8,8 +8,8 @@ own.
 code   meaning
 =====  ==========================================================
 0      done
-1      failed: the computation itself could not be finished
-2      usage or recipe error: the user can mend the input
+1      failed: the computation could not be finished, or the disk is full or read-only
+2      the input can be mended: usage, recipe, a press without equilibrium, where to write
 3      finished, but some samples failed
 4      a capability that the job needs is missing on this machine
 130    interrupted
@@ -102,11 +102,12 @@ class SolveError(TwinError):
 
 
 class ContactError(TwinError):
-    """A press has no equilibrium, or its contact did not converge.
+    """A press has no equilibrium (exit code 2), or its contact did not converge.
 
     ``last_state`` is the `ContactState` before the step that was refused; None at the first step.
     """
 
+    exit_code = 2
     last_state: object = None
 
 
@@ -118,6 +119,8 @@ class SomeFailed(TwinError):
 
 class NotSettled(ContactError):
     """A contact's iteration did not converge: nothing is known to be wrong with what was asked."""
+
+    exit_code = 1
 
 
 class MissingCapability(TwinError):

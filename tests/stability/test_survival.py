@@ -1,5 +1,6 @@
 """Long and interrupted work, stored results, extreme values, full disks, odd names and other locales."""
 
+import errno
 import hashlib
 import math
 import os
@@ -16,8 +17,8 @@ import twin
 from benchmarks import endurance, kills
 from benchmarks.extremes import SCENES, cases, extremes, outcome, scene_of
 from benchmarks.random_recipes import Table
-from twin.errors import RecipeError
-from twin.files import make_folder, temporary_folder
+from twin.errors import RecipeError, TwinError
+from twin.files import make_folder, temporary_folder, write_whole
 from twin.study.recipe import validate_scene
 
 
@@ -175,8 +176,6 @@ def test_compiled_code_has_a_place_where_neither_package_nor_home_can_be_written
 
 
 def test_a_library_that_finds_the_disk_full_is_told_without_a_traceback(monkeypatch, capsys):
-    import errno
-
     from twin import cli
 
     def full(*_: object, **__: object) -> None:
@@ -188,6 +187,16 @@ def test_a_library_that_finds_the_disk_full_is_told_without_a_traceback(monkeypa
         cli.main(["run"])
     assert left.value.code == 1
     assert "/tmp/somewhere: can't be written (No space left on device)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("number", "code"), [(errno.ENOSPC, 1), (errno.EROFS, 1), (errno.EACCES, 2)])
+def test_a_full_disk_is_code_1_and_a_wrong_place_code_2(tmp_path: Path, number: int, code: int) -> None:
+    def write(_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    with pytest.raises(TwinError, match="can't be written") as refused:
+        write_whole(tmp_path / "file", write)
+    assert refused.value.exit_code == code
 
 
 @pytest.mark.slow

@@ -356,10 +356,7 @@ class Calibration:
         def write(stream: IO[bytes]) -> None:
             np.savez_compressed(stream, allow_pickle=False, version=np.array(VERSION), **arrays)
 
-        try:
-            write_whole(Path(path), write)
-        except TwinError as problem:
-            raise InputError(f"calibration file {problem}") from None
+        write_whole(Path(path), write)
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Calibration:

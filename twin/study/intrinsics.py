@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
+from twin.files import write_whole
 from twin.parts.camera import Camera
 
 FISHEYE = ("fisheye", "equidistant", "kannala_brandt")
@@ -105,7 +106,7 @@ def write_intrinsics(camera: Camera, file: str | Path) -> None:
     Raises
     ------
     InputError
-        The file can't be written, or the lens is none of OpenCV's.
+        The file can't be written (`TwinError` on a full disk), or the lens is none of OpenCV's.
 
     Examples
     --------
@@ -164,10 +165,7 @@ def write_intrinsics(camera: Camera, file: str | Path) -> None:
             ]
             lines += [f"   data: [ {values} ]"]
         text = "\n".join(lines)
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as problem:
-        raise InputError(f"{path}: can't be written ({problem.strerror})") from None
+    write_whole(path, f"{text}\n".encode())
 
 
 def _table(path: Path) -> dict[str, Any]:

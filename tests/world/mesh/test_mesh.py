@@ -1,5 +1,6 @@
 """The shipped meshes lie on the true surface and pass the gates; files, keys, cache and export."""
 
+import resource
 import zipfile
 from dataclasses import replace
 
@@ -393,3 +394,11 @@ def test_the_exported_mesh_has_the_bodys_volume(tmp_path):
     assert grid.point_data["depth_mm"].min() == pytest.approx(0, abs=1e-9)
     with pytest.raises(InputError, match=r"exported as \.vtu"):
         mesh.export(FINGER, tmp_path / "finger.stl")
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, most[1]))  # as on a full disk
+    try:
+        with pytest.raises(TwinError, match="written"):
+            mesh.export(FINGER, tmp_path / "full.vtu")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, most)
+    assert not (tmp_path / "full.vtu").exists()

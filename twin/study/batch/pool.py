@@ -37,7 +37,7 @@ from typing import Any
 
 from twin.blas_threads import one_thread
 from twin.errors import InputError, MissingCapability
-from twin.files import make_folder, temporary_folder
+from twin.files import make_folder, temporary_folder, unwritable
 
 Work = Callable[[Path, int], Any]
 """Computes task number n of the job whose files are in a folder."""
@@ -454,9 +454,7 @@ def _locked(path: Path) -> int:
         try:
             handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         except OSError as problem:
-            raise InputError(
-                f"{path}: can't be written ({problem.strerror}); give another --out"
-            ) from None
+            raise unwritable(path, problem) from None
         try:
             _lock(handle)
         except OSError:

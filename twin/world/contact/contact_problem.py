@@ -215,8 +215,8 @@ class ProbeSetup:
             place = patches.centre_mm[over][0]
             raise ContactError(
                 "contact: runs over the edge of the sensing surface at "
-                f"({', '.join(f'{c:.3g}' for c in place)}) mm: press further inside, or with less "
-                "force or a smaller probe"
+                f"({', '.join(f'{c:.3g}' for c in place)}) mm: press further inside "
+                "(press.at_mm), or with less press.force_n or a smaller press.probe"
             )
         low, high = self.body.bounds_mm
         limit = (high[2] - low[2]) / 2
@@ -228,8 +228,8 @@ class ProbeSetup:
         if depth > limit:
             raise ContactError(
                 f"contact: the {probe.kind} sinks in by {depth:.3g} mm, allowed is up to "
-                f"{limit:.3g} mm ({what}): press with less force, or with a larger "
-                "probe, or on a stiffer body"
+                f"{limit:.3g} mm ({what}): reduce press.force_n or press.indentation_mm, or give "
+                "a larger press.probe or material.youngs_modulus_mpa"
             )
         if isinstance(probe, Cone):
             axes = self.first.axes

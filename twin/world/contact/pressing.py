@@ -148,7 +148,7 @@ def _outgrown(boxes: list[Box], contacts: ContactProblem, reached: Bools) -> boo
 def _grid_error(setup: ProbeSetup, contact: Box) -> ContactError:
     return ContactError(
         f"contact: it keeps growing beyond the grid ({contact.size[0]:.3g} by "
-        f"{contact.size[1]:.3g} mm under the {setup.probe.kind}): press with less force, or hold "
+        f"{contact.size[1]:.3g} mm under the {setup.probe.kind}): reduce press.force_n, or hold "
         "the probe by motion"
     )
 
@@ -802,7 +802,7 @@ def _refuse_overhang(setup: ProbeSetup) -> None:
     if missing.any() and not np.any(np.abs(height[~missing]) > 1e-12):
         raise ContactError(
             f"contact: the {setup.name} stands out over the edge of the sensing surface: press "
-            "further inside, or with a smaller probe"
+            "further inside (press.at_mm), or with a smaller press.probe"
         )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points, frozen
 from twin.errors import InputError
-from twin.files import read_arrays, write_whole
+from twin.files import make_folder, read_arrays, write_whole
 from twin.parts.body import Body
 from twin.world.mesh.elements import TET_FACES, quadrature, shapes, signed_volumes
 
@@ -215,21 +215,26 @@ class Mesh:
         Raises
         ------
         InputError
-            The name does not end in .vtu, or the file can't be written.
+            The name does not end in .vtu, or the file can't be written (`TwinError` on a full
+            disk).
         """
         if path.suffix != ".vtu":
             raise InputError(f"{path}: a mesh is exported as .vtu")
         import pyvista
+        from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
         grid = pyvista.UnstructuredGrid(
             {_VTK_QUADRATIC_TETRA: np.asarray(self.tets)}, np.array(self.points)
         )
         grid.point_data["depth_mm"] = body.depth(self.points)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            grid.save(path)
-        except OSError as problem:
-            raise InputError(f"{path}: can't be written ({problem.strerror or problem})") from None
+        # Into memory: on a full disk VTK's writer leaves an empty file and raises nothing.
+        writer = vtkXMLUnstructuredGridWriter()
+        writer.SetInputData(grid)
+        writer.SetDataModeToBinary()
+        writer.WriteToOutputStringOn()
+        writer.Write()
+        make_folder(path.parent)
+        write_whole(path, writer.GetOutputString().encode())
 
 
 def _problem(mesh: Mesh) -> str:
