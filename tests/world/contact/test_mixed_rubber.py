@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 import twin
 from twin.parts.body import Block, Finger
 from twin.parts.material import Material
+from twin.world.contact.mixed_rubber import MixedRubber
 from twin.world.contact.probe_gap import Approach
 from twin.world.contact.round_slab import Slab
 from twin.world.contact.whole_body import LAST_STEP, Rubber, RubberContact, SurfaceTouch
@@ -189,6 +190,34 @@ def test_tangent_is_symmetric_and_the_slope_of_the_resistance(kind, material):
     tangent = rubber.tangent(unknowns)
     assert tangent @ way == pytest.approx(slope, abs=1e-6 * np.abs(slope).max())
     assert abs(tangent - tangent.T).max() < 1e-12 * abs(tangent).max()
+
+
+def mixed(step, start, tolerance, seen=None):
+    """Return the place (n,) where mixed steps end."""
+    mixing = MixedRubber.Mixing(len(start) if seen is None else seen, 5)
+    return MixedRubber.newton(step, lambda one: one[:, None], start, 40, tolerance, "none", mixing.start)
+
+
+def test_mixed_steps_solve_what_plain_steps_leave():
+    """Steps with five rates, of which one grows: six changes suffice (H. F. Walker and P. Ni 2011). The second half of
+    the numbers follows the first, as pressures do."""
+    rng = np.random.default_rng(3)
+    turn = np.linalg.qr(rng.standard_normal((10, 10)))[0]
+    matrix = turn @ np.diag(np.repeat([-1.5, -0.6, 0.2, 0.5, 0.9], 2)) @ turn.T
+    wanted, taken = rng.standard_normal(20), []
+
+    def step(place):
+        taken.append(place)
+        return wanted + np.tile(matrix @ (place - wanted)[:10], 2)
+
+    assert mixed(step, np.zeros(20), 1e-10, seen=10) == pytest.approx(wanted, abs=1e-9)
+    assert len(taken) <= 8
+
+
+def test_mixed_steps_do_not_end_where_one_returns_to_the_last_ones_end():
+    """From 0 to 1 to 3/2, and mixed from 2 back to 3/2, which the next one would leave: only 5/3 stays."""
+    found = mixed(lambda x: np.minimum(1.0 + x / 2.0, 2.5 - x / 2.0), np.zeros(1), 1e-6)
+    assert found == pytest.approx([5.0 / 3.0], abs=1e-5)
 
 
 @pytest.mark.parametrize("linear", [True, False], ids=["linear", "finite"])

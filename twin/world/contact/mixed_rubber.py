@@ -153,6 +153,33 @@ class MixedRubber:
                 "theory: press with less force, or set material.law = linear"
             )
 
+    class Mixing:
+        """Where steps that tend to a place likely change nothing: the ends of the last ones, mixed
+        so that what they changed cancels best (D. G. Anderson 1965, J. ACM 12).
+
+        Of a place's numbers the first ``seen`` count, of steps the last ``most`` and one.
+        """
+
+        def __init__(self, seen: int, most: int) -> None:
+            self._seen = seen
+            self._kept = most + 1
+            self._begun: list[Floats] = []
+            self._ended: list[Floats] = []
+
+        def start(self, place: Floats) -> Floats:
+            """Return where to begin a step; ``place`` (n,) is where the last one ended."""
+            if self._begun:
+                self._ended.append(place)
+                del self._ended[: -self._kept]
+            if len(self._ended) > 1:
+                ended = np.array(self._ended)
+                change = (ended - np.array(self._begun))[:, : self._seen]
+                share = np.linalg.lstsq(np.diff(change, axis=0).T, change[-1], 1e-8)[0]
+                place = place - share @ np.diff(ended, axis=0)
+            self._begun.append(place)
+            del self._begun[: -self._kept]
+            return place
+
     @staticmethod
     @np.errstate(over="ignore", invalid="ignore")
     def newton(
@@ -162,9 +189,11 @@ class MixedRubber:
         steps: int,
         tolerance: float,
         law: str,
+        begin: Callable[[State], State] | None = None,
     ) -> State:
         """Take Newton's steps until one moves no node by more than ``tolerance`` of the largest
-        displacement. Numbers may overflow in steps that diverge.
+        displacement. Each begins where the last one ended, or where ``begin`` puts it. Numbers may
+        overflow in steps that diverge.
 
         Raises
         ------
@@ -174,6 +203,7 @@ class MixedRubber:
         problem: Exception | None = None
         try:
             for _ in range(steps):
+                state = state if begin is None else begin(state)
                 before = displacement(state)
                 state = after(state)
                 moved = displacement(state)

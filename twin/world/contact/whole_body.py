@@ -181,17 +181,17 @@ class Rubber(MixedRubber):
         change = np.abs(gradient - np.eye(3)).max(axis=(1, 2, 3))
         change = np.maximum(change, np.abs(pressure).max(axis=1) / self._shear)
         strained = np.flatnonzero(change > _STRAINED)
-        more = self._chunked_blocks(unknowns, strained) - self._chunked_blocks(
-            np.zeros(self.size), strained
-        )
+        more = self._chunked_blocks(unknowns, strained) - self._rest_blocks[strained]
         return self.at_rest + MixedRubber.summed(more, self._row[strained], self.size)
 
     @cached_property
     def at_rest(self) -> Any:
         """See `MixedRubber.at_rest`."""
-        every = np.arange(len(self._row))
-        blocks = self._chunked_blocks(np.zeros(self.size), every)
-        return MixedRubber.summed(blocks, self._row, self.size)
+        return MixedRubber.summed(self._rest_blocks, self._row, self.size)
+
+    @cached_property
+    def _rest_blocks(self) -> Floats:
+        return self._chunked_blocks(np.zeros(self.size), np.arange(len(self._row)))
 
     def _chunked_blocks(self, unknowns: Floats, some: Ints) -> Floats:
         parts = range(0, max(len(some), 1), _CHUNK)
@@ -474,7 +474,8 @@ class RubberContact:
         self._nodal = (3 * nodes[:, None] + np.arange(3)).ravel()
         self._free = rubber.are_free(self._nodal)
         self._row = (3 * local.reshape(-1, 6)[:, :, None] + np.arange(3)).reshape(-1, 18)
-        self._tangent: Factor | None = None
+        self.lately: Factor | None = None
+        """The stiffness of an earlier state at finite strain, while it will do."""
 
     def at_rest(self) -> RubberContact.State:
         """Return the state in which nothing touches."""
@@ -499,53 +500,23 @@ class RubberContact:
         ``given`` (p, 6) are forces over Young's modulus, mm2, where ``by_force`` (p, 6), else
         places; ``to`` is `LAST_STEP` or `PART_STEP`.
         """
-        tangent, last = self._at_rest, math.inf
-        steps: list[tuple[Floats, Floats]] = []
-
-        def stepped(one: RubberContact.State) -> RubberContact.State:
-            return self._step(one, tangent, by_force, given, linear=linear)
-
-        def mixed(one: RubberContact.State) -> RubberContact.State:
-            """Begin where the changes in the last steps, mixed, are least."""
-            if len(steps) > 1:
-                begun, ended = map(np.array, zip(*steps, strict=True))
-                change = (ended - begun)[:, : self.rubber.displacement(one.unknowns).size]
-                share = np.linalg.lstsq(np.diff(change, axis=0).T, change[-1], 1e-8)[0]
-                one = replace(one, unknowns=one.unknowns - share @ np.diff(ended, axis=0))
-            new = stepped(one)
-            steps.append((one.unknowns, new.unknowns))
-            del steps[: -_MIXED - 1]
-            return new
-
-        def renewed(one: RubberContact.State) -> RubberContact.State:
-            """Take the present tangent where the last one's steps are slow."""
-            nonlocal tangent, last
-            if self._tangent is None:
-                now = self.rubber.tangent(one.unknowns)
-                self._tangent = self.rubber.stiffness(now, self._nodal[self._free])
-            tangent = self._tangent
-            new = stepped(one)
-            step = MixedRubber.largest(displacement(new) - displacement(one))
-            if step > _SLOW * last:
-                self._tangent = None
-            last = step
-            return new
-
-        def displacement(one: RubberContact.State) -> Points:
-            return self.rubber.displacement(one.unknowns)
-
-        law = self.rubber.law_name
+        steps = _Steps(self, by_force, given, linear=linear)
         if linear:
-            return MixedRubber.newton(stepped, displacement, state, MOST_STEPS, to, law)
+            return steps.taken(steps.at_rest, state, MOST_STEPS, to)
         if not self._rubs:
             with suppress(NotSettled):
                 most, end = _MIXED_STEPS, _MIXED_TO * to
-                return MixedRubber.newton(mixed, displacement, state, most, end, law)
-        return MixedRubber.newton(renewed, displacement, state, MOST_STEPS, to, law)
+                return steps.taken(steps.at_rest, state, most, end, steps.mixed)
+        return steps.taken(steps.renewed, state, MOST_STEPS, to)
 
     @cached_property
-    def _at_rest(self) -> Factor:
-        return self.rubber.stiffness(self.rubber.at_rest, self._nodal[self._free])
+    def rest_stiffness(self) -> Factor:
+        """`stiffness_at` rest."""
+        return self.stiffness_at(self.rubber.at_rest)
+
+    def stiffness_at(self, tangent: Any) -> Factor:
+        """Return the rubber's stiffness, condensed to the nodes that may touch."""
+        return self.rubber.stiffness(tangent, self._nodal[self._free])
 
     def rubbed(
         self,
@@ -634,7 +605,7 @@ class RubberContact:
             place[rows] += touch.own(rub.slipped[rows], pose, linear=linear)
         return replace(state, anchors=replace(state.anchors, place=place))
 
-    def _step(
+    def stepped(
         self,
         state: RubberContact.State,
         stiffness: Factor,
@@ -871,3 +842,55 @@ class RubberContact:
             shape[rows] = np.where(new, there, shape[rows])
             on[rows] |= new
         return replace(free, anchors=_Anchors(on, place, closed, shape))
+
+
+class _Steps:
+    """Newton's steps towards the balance of a contact under what holds the probes; arguments are
+    those of `RubberContact.settled`."""
+
+    def __init__(
+        self, contact: RubberContact, by_force: Bools, given: Floats, *, linear: bool
+    ) -> None:
+        self._contact = contact
+        self._held = by_force, given
+        self._linear = linear
+        self._mixing = MixedRubber.Mixing(3 * len(contact.rubber.mesh.points), _MIXED)
+        self._last_mm = math.inf
+
+    def taken(
+        self,
+        step: Callable[[RubberContact.State], RubberContact.State],
+        state: RubberContact.State,
+        most: int,
+        to: float,
+        begin: Callable[[RubberContact.State], RubberContact.State] | None = None,
+    ) -> RubberContact.State:
+        """Return the state after at most so many steps of one sort, see `MixedRubber.newton`."""
+        law = self._contact.rubber.law_name
+        return MixedRubber.newton(step, self._displacement, state, most, to, law, begin)
+
+    def _displacement(self, state: RubberContact.State) -> Points:
+        return self._contact.rubber.displacement(state.unknowns)
+
+    def _step(self, state: RubberContact.State, stiffness: Factor) -> RubberContact.State:
+        return self._contact.stepped(state, stiffness, *self._held, linear=self._linear)
+
+    def at_rest(self, state: RubberContact.State) -> RubberContact.State:
+        """Take a step by the stiffness at rest."""
+        return self._step(state, self._contact.rest_stiffness)
+
+    def mixed(self, state: RubberContact.State) -> RubberContact.State:
+        """Return where to begin a step by the stiffness at rest, see `MixedRubber.Mixing`."""
+        return replace(state, unknowns=self._mixing.start(state.unknowns))
+
+    def renewed(self, state: RubberContact.State) -> RubberContact.State:
+        """Take one by the present stiffness, or an earlier one's while its steps are not slow."""
+        contact = self._contact
+        if contact.lately is None:
+            contact.lately = contact.stiffness_at(contact.rubber.tangent(state.unknowns))
+        end = self._step(state, contact.lately)
+        moved_mm = MixedRubber.largest(self._displacement(end) - self._displacement(state))
+        if moved_mm > _SLOW * self._last_mm:
+            contact.lately = None
+        self._last_mm = moved_mm
+        return end
