@@ -572,7 +572,7 @@ class DiscFit(SoftWindow):
             return hides, good & (cut[rows] | ~(templates.rest[rows, SHORTFALL] > HIDES))
 
         hides, good = judged(part)
-        failed = ~(good | cut[rows])
+        failed = ~(good | cut[rows]) & (part[:, SHORTFALL] > 0.0)
         if failed.any():  # too much may be hidden for a start at the middle of the rest
             some = expected.only(failed)
             place = some.likeliest(picture, templates, rows[failed], start[failed])
@@ -801,7 +801,7 @@ def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
     least = 1.0
     if counts.sum() >= SURE:
         least = min(max(float(np.sqrt(np.mean(score**2))), LEAST_COHERENCE), 1.0)
-    return max(BareGround.bounded_rms(score), least)
+    return max(float(np.sqrt(BareGround.bounded_squares(score.reshape(-1, 1))[0])), least)
 
 
 def _most_moved(fitted: Floats, templates: Templates, sd: Floats, shrunk: Floats) -> Floats:

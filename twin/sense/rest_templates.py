@@ -598,10 +598,11 @@ class BareGround:
     near: Ints
 
     @staticmethod
-    def bounded_rms(score: Floats) -> float:
-        """Return the root mean square, where more than `OUTLYING` medians count as so many."""
-        score = np.abs(score).reshape(-1, 1)
-        return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * _middle(score)) ** 2)))
+    def bounded_squares(score: Floats) -> Floats:
+        """Return (q,) the mean squares of the columns of ``score`` (n, q), where more than
+        `OUTLYING` medians count as so many."""
+        score = np.abs(score)
+        return np.asarray((np.minimum(score, OUTLYING * _middle(score)) ** 2).mean(axis=0))
 
     @classmethod
     def of(
@@ -644,9 +645,10 @@ class BareGround:
         if np.isnan(sd_px).all():
             return 1.0
         # Where the places, and what covers them, have moved to.
-        beside = shift_px[self.near]
-        number = np.isfinite(beside).sum(axis=1)
-        moved_on = np.nansum(beside, axis=1) / np.where(number > 0, number, np.nan)
+        known = np.isfinite(shift_px[:, 0])
+        number = np.where(known, 1.0, 0.0)[self.near].sum(axis=1)
+        number[number == 0.0] = np.nan
+        moved_on = np.where(known[:, None], shift_px, 0.0)[self.near].sum(axis=1) / number[:, None]
         count = len(self.places_px)
         widest = max(growth, 1.0) * _widest(templates)
         covered = _covered(picture, self.marks_px + moved_on[count:], widest)
@@ -671,8 +673,8 @@ def _uneven(moved: Floats, places: Pixels, picture: Picture) -> Floats:
     the picture, which moves markers alike at rest and later."""
     known = np.isfinite(moved[:, 0])
     moved, basis = moved[known], slope_terms(places[known], picture.shape)
-    moved = moved - basis @ np.linalg.lstsq(basis, moved, rcond=None)[0]
-    return np.array([BareGround.bounded_rms(part) ** 2 for part in (moved[:, :2], moved[:, 2:])])
+    moved = moved - basis @ np.linalg.solve(basis.T @ basis, basis.T @ moved)
+    return BareGround.bounded_squares(moved.reshape(-1, 2, 2).swapaxes(1, 2).reshape(-1, 2))
 
 
 def _moved_by_ground(
@@ -693,66 +695,81 @@ def _moved_by_ground(
     inside = ((middle >= reach) & (middle < np.array([width, height]) - reach)).all(axis=1)
     rows, middle = rows[inside], middle[inside]
     slope = slope_terms(places[rows], picture.shape) @ templates.ground_slopes.T
-    sums = np.empty((len(rows), 2, 10))
-    seen = (picture, templates.own.astype(float), templates.sites, covered)
+    seen = (picture, tuple(templates.own.astype(float)), templates.sites, covered)
     edge = (radius, blur, float(shape[7]))
-    _sum_ground(*seen, middle, middle - places[rows], slope, offset, edge, sums)
-    # Least squares where enough is bare: what a marker there would have moved by.
-    xx, yy, whole = sums[:, 1, [3, 6, 9]].T
-    free = np.fmin(xx, yy) > LEAST_FREE * templates.sites.mean() * whole
-    rows, sums = rows[free], sums[free]
-    matrix = sums[:, :, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 2, 3, 3)
-    inverse = np.linalg.inv(matrix[:, 1:])[:, :, :2]
-    moved[rows] = (inverse @ sums[:, :, :3, None]).reshape(-1, 4)
-    variance = 0.5 * (inverse @ matrix * inverse).sum(axis=(2, 3))
-    by_noise[rows] = np.median(templates.noise[:, 0]) * variance
+    least = LEAST_FREE * float(templates.sites.mean())
+    solved, variance = np.full((len(rows), 4), np.nan), np.full((len(rows), 2), np.nan)
+    _fit_ground(*seen, middle, middle - places[rows], slope, offset, edge, least, solved, variance)
+    moved[rows] = solved
+    by_noise[rows] = templates.usual_noise * variance
     return moved, by_noise
 
 
 @njit(cache=True, fastmath=True)
-def _sum_ground(image, own, sites, covered, middle, apart, slope, offset, edge, sums):
-    """Fill ``sums`` (q, 2, 10) over the pixels around each place that are not ``covered`` (h, w).
+def _fit_ground(
+    image, own, sites, covered, middle, apart, slope, offset, edge, least, moved, variance
+):
+    """Fill how far the ground has ``moved`` (q, 4) a marker at each place, and the ``variance``
+    (q, 2) of that by unit noise, where more than the share ``least`` of its edge is not ``covered``
+    (h, w): by what is around the marker, and by that behind it too.
 
-    With g the slopes of the brightness along x and y, and 1, s the signal less its mean, and b the
-    share of a pixel that no marker hides, or 1: b s g; b b g g (xx, xy, x1, yy, y1, 11); and xx
-    over all pixels.
+    Least squares of the signal s, less its mean, by the slopes of the brightness along x and y, and
+    a constant: g. With b the share of a pixel that no marker hides, or 1, the right side sums
+    b s g; the matrix what a whole marker there moves by, g g; and the noise adds b b g g.
     """
-    radius, blur, level = edge
+    (radius, blur, level), (red, green, blue, _) = edge, own
     count, steepest = len(offset), 15 / 16 * level / blur
-    x, y, value, use, across, along = np.empty((6, count))
-    share = np.ones((2, count))
+    x, y, value, use, across, along, hides = np.empty((7, count))
     for k in range(len(middle)):
         n, mean = 0.0, 0.0
+        column, row, right, down = middle[k, 0], middle[k, 1], apart[k, 0], apart[k, 1]
+        slope_x, slope_y = slope[k, 0], slope[k, 1]
         for p in range(count):
-            i, j = middle[k, 1] + offset[p, 1], middle[k, 0] + offset[p, 0]
-            x[p], y[p] = offset[p, 0] + apart[k, 0], offset[p, 1] + apart[k, 1]
-            value[p] = own[0] * image[i, j, 0] + own[1] * image[i, j, 1] + own[2] * image[i, j, 2]
-            value[p] -= slope[k, 0] * x[p] + slope[k, 1] * y[p]
-            use[p] = 0.0 if covered[i, j] else sites[i % 2, j % 2]
+            i, j = row + offset[p, 1], column + offset[p, 0]
+            x[p], y[p] = offset[p, 0] + right, offset[p, 1] + down
+            value[p] = red * image[i, j, 0] + green * image[i, j, 1] + blue * image[i, j, 2]
+            use[p] = 0.0 if covered[i, j] else sites[i & 1, j & 1]
+        for p in range(count):
+            value[p] -= slope_x * x[p] + slope_y * y[p]
             n += use[p]
             mean += use[p] * value[p]
         mean /= max(n, 1.0)
+        # the information, of what is in sight and of all along x
+        xx, xy, x1, yy, y1, whole = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for p in range(count):
             far = math.sqrt(x[p] * x[p] + y[p] * y[p])
             depth = min(max((radius - far) / blur, -1.0), 1.0)
             square = depth * depth
-            share[0, p] = 0.5 - depth * (15 / 16 - square * (10 / 16 - square * 3 / 16))
+            hides[p] = 0.5 + depth * (15 / 16 - square * (10 / 16 - square * 3 / 16))
             steep = steepest * (1.0 - square) ** 2 / max(far, 0.5)
-            across[p], along[p] = steep * x[p], steep * y[p]
+            gx, gy = steep * x[p], steep * y[p]
+            across[p], along[p] = gx, gy
+            whole += gx * gx
+            xx += use[p] * gx * gx
+            xy += use[p] * gx * gy
+            x1 += use[p] * gx
+            yy += use[p] * gy * gy
+            y1 += use[p] * gy
+        if min(xx, yy) <= least * whole:
+            continue
+        # two rows of the inverse matrix
+        rows = np.array(
+            [
+                [yy * n - y1 * y1, x1 * y1 - xy * n, xy * y1 - x1 * yy],
+                [x1 * y1 - xy * n, xx * n - x1 * x1, xy * x1 - xx * y1],
+            ]
+        )
+        rows /= xx * rows[0, 0] + xy * rows[0, 1] + x1 * rows[0, 2]
         for part in range(2):
-            sx, sy, s1, xx, xy = 0.0, 0.0, 0.0, 0.0, 0.0
-            x1, yy, y1, n, whole = 0.0, 0.0, 0.0, 0.0, 0.0
+            by_x, by_y, sx, sy = 0.0, 0.0, 0.0, 0.0
             for p in range(count):
-                gx, gy, bare = across[p], along[p], share[part, p]
-                signal, w = use[p] * bare * (value[p] - mean), use[p] * bare * bare
-                sx += signal * gx
-                sy += signal * gy
-                s1 += signal
-                xx += w * gx * gx
-                xy += w * gx * gy
-                x1 += w * gx
-                yy += w * gy * gy
-                y1 += w * gy
-                n += w
-                whole += gx * gx
-            sums[k, part] = sx, sy, s1, xx, xy, x1, yy, y1, n, whole
+                bare = use[p] * (1.0 - (1.0 - part) * hides[p])
+                move_x = rows[0, 0] * across[p] + rows[0, 1] * along[p] + rows[0, 2]
+                move_y = rows[1, 0] * across[p] + rows[1, 1] * along[p] + rows[1, 2]
+                signal = bare * (value[p] - mean)
+                sx += signal * move_x
+                sy += signal * move_y
+                by_x += bare * bare * move_x * move_x
+                by_y += bare * bare * move_y * move_y
+            moved[k, 2 * part], moved[k, 2 * part + 1] = sx, sy
+            variance[k, part] = 0.5 * (by_x + by_y)

@@ -149,6 +149,30 @@ def fit_shapes(
 
 
 @njit(cache=True, fastmath=True)
+def _solve(sums):
+    """Solve n equations by Cholesky's factor: the matrix is in the lower triangle of ``sums``
+    (n + 1, n + 1), its last row the right side, which becomes the solution. Return whether the
+    matrix is positive definite."""
+    count, definite = len(sums) - 1, True
+    for a in range(count + 1):
+        for b in range(min(a + 1, count)):
+            total = sums[a, b]
+            for c in range(b):
+                total -= sums[a, c] * sums[b, c]
+            if a == b:
+                definite = definite and total > 0.0
+                sums[a, a] = math.sqrt(max(total, 1e-9))
+            else:
+                sums[a, b] = total / sums[b, b]
+    solution = sums[count]
+    for a in range(count - 1, -1, -1):
+        for b in range(a + 1, count):
+            solution[a] -= sums[b, a] * solution[b]
+        solution[a] /= sums[a, a]
+    return definite
+
+
+@njit(cache=True, fastmath=True)
 def _fit_shapes(
     signal,
     use,
@@ -266,22 +290,8 @@ def _fit_shapes(
             sums[9, 9] += 4.0 / r**2
             sums[10, 10] += 1.0
             sums[11, 10] -= p[10] - blur
-            # Cholesky's factor; then the last row becomes the step
-            for a in range(PARAMETERS + 1):
-                for b in range(min(a + 1, PARAMETERS)):
-                    total = sums[a, b]
-                    for c in range(b):
-                        total -= sums[a, c] * sums[b, c]
-                    if a == b:
-                        good = good and total > 0.0
-                        sums[a, a] = math.sqrt(max(total, 1e-9))
-                    else:
-                        sums[a, b] = total / sums[b, b]
+            good = _solve(sums) and good
             step = sums[PARAMETERS]
-            for a in range(PARAMETERS - 1, -1, -1):
-                for b in range(a + 1, PARAMETERS):
-                    step[a] -= sums[b, a] * step[b]
-                step[a] /= sums[a, a]
             shifted = step[0] ** 2 + step[1] ** 2
             for a in range(PARAMETERS):
                 if not 2 <= a < 7:
@@ -403,54 +413,36 @@ def fit_visible(
     middle = np.rint(start_px).astype(np.int64)
     signal, use, inside = _signal(picture, templates, middle[:, None] + offset)
     far = np.hypot(*offset.T) > reach - 1.5
-    ground = _medians(signal[:, far], use[:, far])
     blurred = float(np.max(expected.blur))
     within = max(BESIDE_PX, BESIDE * blurred), max(AROUND_PX, AROUND * blurred)
-    beside, around = (_pairs(int(reach**2), math.ceil(distance**2)) for distance in within)
-    number = np.maximum(use @ beside, 1.0) ** (1.0 if templates.coherent else 0.5)
-    spread = np.stack([expected.level_sd, *3 * [expected.axes_sd]], axis=1)
-    held = np.concatenate([np.zeros((len(rows), 3)), spread**-2.0], axis=1)
-    holding = (held + 1e-9)[:, :, None] * np.eye(FREE)
-
-    centre, level, ratio = np.array(start_px, float), expected.level.copy(), 0.5
-    change, hidden = np.zeros((len(rows), 3)), np.zeros(signal.shape, np.bool_)
     radius = np.sqrt(np.maximum(expected.axes[:, 0] * expected.axes[:, 2], 0.25))
-    most = radius[:, None] * LARGEST_STEPS
+    fit = np.zeros((len(rows), FREE))
+    fit[:, CENTRE] = start_px
+    fit[:, 2] = _medians(signal[:, far], use[:, far])
+    fit[:, 3] = expected.level
+    held = np.full((len(rows), FREE), 1e-9)
+    held[:, 3] += expected.level_sd**-2.0
+    held[:, 4:] += expected.axes_sd[:, None] ** -2.0
+    hidden, step = np.zeros(signal.shape, np.bool_), np.empty(len(rows))
     pixels, matrix = np.empty((len(rows), 4, len(offset))), np.empty((len(rows), FREE, FREE))
-    right, work = np.empty((len(rows), FREE)), np.empty((FREE + 2, len(offset)))
-    for turn in range(LAST):
-        terms = slope_terms(centre, picture.shape)
-        slope = known[:, 3:5] + terms @ templates.slopes.T
-        axes = expected.axes + change @ STRETCHES
-        marks = [middle - centre, axes, slope, known[:, 5:6], expected.blur[:, None]]
-        limit = (
-            np.maximum(ratio * level, 4.0 * np.sqrt(noise[:, 1])) if turn < FIRST else 0.0 * level
-        )
-        marks += [ground[:, None], level[:, None], limit[:, None]]
-        marks += [terms @ templates.ground_slopes.T]
-        model = np.concatenate(marks, axis=1)
-        ratio *= NARROWER
-        if turn in (FIRST, LATER):
-            _equations(signal, use, hidden, offset, model, noise, pixels, work, matrix, right)
-            cover, residual, _, expected_square = pixels.transpose(1, 0, 2)
-            edge = 4.0 * np.clip(cover * (1.0 - cover), 0.0, 0.25)
-            variance = expected_square + (IMPERFECT * level[:, None]) ** 2 * edge
-            score = (use * residual / np.sqrt(variance)) @ beside / number
-            lacks = (score < -LACKS) & use & (cover > 0.03) & ~expected.bare[:, None]
-            hidden = lacks @ around > 0.0
-        _equations(signal, use, hidden, offset, model, noise, pixels, work, matrix, right)
-        # a Gauss-Newton step, with what is known of level and outline
-        matrix += holding
-        away = np.concatenate([(level - expected.level)[:, None], change], axis=1)
-        right[:, 3:] -= held[:, 3:] * away
-        step = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
-        step = np.minimum(np.maximum(step, -most), most)
-        centre += step[:, :2]
-        ground = ground + step[:, 2]
-        level = np.maximum(level + step[:, 3], 0.3 * expected.level)
-        change += step[:, 4:]
-        if turn > LATER and np.hypot(step[:, 0], step[:, 1]).max() < SETTLED_PX:
-            break
+    _fit_visible(
+        signal,
+        use,
+        offset,
+        tuple(_near(int(reach**2), math.ceil(distance**2)) for distance in within),
+        middle,
+        (expected.axes, np.column_stack([known[:, 3:6], expected.blur])),
+        (templates.slopes, templates.ground_slopes, picture.shape[:2]),
+        noise,
+        templates.coherent,
+        expected.bare,
+        (held, radius[:, None] * LARGEST_STEPS),
+        fit,
+        hidden,
+        pixels,
+        matrix,
+        step,
+    )
     used = use & ~hidden
     count = used.sum(axis=1)
     cover, residual, information, expected_square = pixels.transpose(1, 0, 2)
@@ -458,12 +450,12 @@ def fit_visible(
     covariance = np.linalg.inv(matrix)
     every = np.maximum(information.sum(axis=1) * templates.sites.mean(), 1e-9)
     fitted = np.full((len(rows), COLUMNS), np.nan)
-    fitted[:, CENTRE], fitted[:, LEVEL], fitted[:, GROUND] = centre, level, ground
+    fitted[:, CENTRE], fitted[:, LEVEL], fitted[:, GROUND] = fit[:, CENTRE], fit[:, 3], fit[:, 2]
     fitted[:, VARIANCE] = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])[:, None]
     fitted[:, PIXELS] = count
     fitted[:, MISFIT] = templates.usual_misfit * squares / np.maximum(count, 1)
     fitted[:, SQUARES] = fitted[:, MISFIT] * count * templates.noise[rows, 0]
-    fitted[:, STEP] = np.hypot(step[:, 0], step[:, 1])
+    fitted[:, STEP] = step
     fitted[:, EDGE] = 1.0 - (information * (inside & ~use)).sum(axis=1) / every
     fitted[:, FITTING] = (information * used).sum(axis=1) / every
     fitted[:, SHORTFALL] = (cover * (hidden & use)).sum(axis=1) / np.maximum(
@@ -473,13 +465,15 @@ def fit_visible(
 
 
 @lru_cache(maxsize=16)
-def _pairs(disc_square: int, square: int) -> Floats:
-    """Return (m, m) 1 where two pixels of a disc are nearer to each other than the root of
-    ``square``, else 0; ``disc_square`` is the disc's squared radius."""
-    offset = disc_offsets(math.sqrt(disc_square + 0.5))
-    length = (offset**2).sum(axis=1)
-    apart = length[:, None] + length - 2 * (offset @ offset.T)
-    return np.asarray(apart < square, np.float64)
+def _near(disc_square: int, square: int) -> Ints:
+    """Return (m, q) for every pixel of a disc those nearer than the root of ``square``, -1 for none
+    that is in the disc; ``disc_square`` is the disc's squared radius."""
+    offset, beside = (disc_offsets(math.sqrt(most)) for most in (disc_square + 0.5, square - 0.5))
+    margin = int(np.abs(beside).max()) - offset.min(axis=0)
+    number = np.full(offset.max(axis=0) + 2 * margin + 1, -1)
+    number[tuple((offset + margin).T)] = np.arange(len(offset))
+    place = offset[:, None] + beside + margin
+    return np.asarray(number[place[:, :, 0], place[:, :, 1]])
 
 
 def _medians(values: Floats, use: Bools) -> Floats:
@@ -491,70 +485,140 @@ def _medians(values: Floats, use: Bools) -> Floats:
 
 
 @njit(cache=True, fastmath=True)
-def _equations(signal, use, hidden, offset, model, noise, pixels, work, matrix, right):
-    """Fill the normal equations of a Gauss-Newton step, ``matrix`` (k, `FREE`, `FREE`) and
-    ``right`` (k, `FREE`), and ``pixels`` (k, 4, m): the covered share, what the model lacks, the
-    information, and the noise's variance.
+def _fit_visible(
+    signal,
+    use,
+    offset,
+    near,
+    middle,
+    shape,
+    light,
+    noise,
+    coherent,
+    bare,
+    hold,
+    fit,
+    hidden,
+    pixels,
+    matrix,
+    step,
+):
+    """Take Gauss-Newton steps of the numbers ``fit`` (k, `FREE`) until all markers have settled.
 
-    Pixels' brightness ``signal``, which of them count (``use``) and which are ``hidden`` (k, m) are
-    at ``offset`` (m, 2) from a whole pixel. ``model`` (k, 14) has that pixel from the centre;
-    semi-axes xx, xy, yy; slope x, y; bulge; half width of the blur; ground; level; how much
-    light may be missing, 0 for no such limit; and the ground's slope x, y. ``work`` (`FREE` + 2, m)
-    is room.
+    Pixels' brightness ``signal`` and which of them count, ``use`` (k, m), are at ``offset`` (m, 2)
+    from whole pixels ``middle`` (k, 2). ``near`` are tables of `_near`: pixels beside, and those
+    around a hidden one. ``shape`` are (k, 3) expected semi-axes and (k, 4) slope x, y, bulge and
+    blur; ``light`` the slopes of marker and ground, and the picture's size; ``hold`` (k, `FREE`)
+    the information on every number before, and the largest steps.
+
+    Filled are which pixels are ``hidden`` (k, m); ``pixels`` (k, 4, m): the covered share, what the
+    model lacks, the information, and the noise's variance; the information's ``matrix`` (k, `FREE`,
+    `FREE`); and the length of the last ``step`` (k,), px.
     """
-    for k in range(len(signal)):
-        m = model[k]
-        xx, xy, yy = m[2], m[3], m[4]
-        a, b, c = xx * xx + xy * xy, xy * (xx + yy), yy * yy + xy * xy
-        determinant = max(a * c - b * b, 1e-6)
-        xx, xy, yy = c / determinant, -b / determinant, a / determinant
-        middle_x, middle_y, slope_x, slope_y, bulge = m[0], m[1], m[5], m[6], m[7]
-        per_blur, ground, level, limit = 1.0 / m[8], m[9], m[10], m[11]
-        lenient = 1.0 / (limit * limit) if limit > 0.0 else 0.0
-        strict = 1.0 - (limit > 0.0)
-        steeper, imperfect = noise[k, 1] - noise[k, 0], (IMPERFECT * level) ** 2
-        for i in range(len(offset)):
-            x = offset[i, 0] + middle_x
-            y = offset[i, 1] + middle_y
-            ax, ay = xx * x + xy * y, xy * x + yy * y
-            squared = ax * x + ay * y + 1e-6
-            per_steep = 1.0 / math.sqrt(ax * ax + ay * ay + 1e-8)
-            v = min(max((math.sqrt(squared) - squared) * per_steep * per_blur, -1.0), 1.0)
-            v2 = v * v
-            cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
-            light = 1.0 + slope_x * x + slope_y * y + bulge * min(squared, 1.0)
-            tilt = level * light * 15 / 16 * (1.0 - v2) * (1.0 - v2) * per_blur
-            behind = ground + (1.0 - cover) * (m[12] * x + m[13] * y)
-            residual = signal[k, i] - behind - level * cover * light
-            expected = noise[k, 0] + steeper * min(max(cover * light, 0.0), 1.0)
-            variance = expected + imperfect * 4.0 * min(max(cover * (1.0 - cover), 0.0), 0.25)
+    count, (beside, around), (axes, looks) = len(offset), near, shape
+    slopes, ground_slopes, size = light
+    held, most = hold
+    start, ratio = fit.copy(), 0.5
+    work = np.empty((FREE + 2, count))
+    odd, sums = np.empty(count), np.empty((FREE + 1, FREE + 1))
+    for turn in range(LAST):
+        strict, largest = turn >= FIRST, 0.0
+        for k in range(len(signal)):
+            p, covers, misses, squares, expects = (
+                fit[k],
+                pixels[k, 0],
+                pixels[k, 1],
+                pixels[k, 2],
+                pixels[k, 3],
+            )
+            xx, xy, yy = axes[k, 0] + p[4] + p[5], axes[k, 1] + p[6], axes[k, 2] + p[4] - p[5]
+            xx, xy, yy = xx * xx + xy * xy, xy * (xx + yy), yy * yy + xy * xy
+            determinant = max(xx * yy - xy * xy, 1e-6)
+            xx, xy, yy = yy / determinant, -xy / determinant, xx / determinant
+            u, v = p[0] / size[1] - 0.5, p[1] / size[0] - 0.5
+            slope_x, slope_y, ground_x, ground_y = looks[k, 0], looks[k, 1], 0.0, 0.0
+            for term, value in enumerate((1.0, u, v, u * u, u * v, v * v)):
+                slope_x += slopes[0, term] * value
+                slope_y += slopes[1, term] * value
+                ground_x += ground_slopes[0, term] * value
+                ground_y += ground_slopes[1, term] * value
+            bulge, per_blur = looks[k, 2], 1.0 / looks[k, 3]
+            ground, level = p[2], p[3]
+            steeper, imperfect = noise[k, 1] - noise[k, 0], (IMPERFECT * level) ** 2
             # missing light counts less than too much of it; later it is left out
-            square = residual * residual
-            odd = strict * square / (OUTLIER_SD**2 * variance)
-            odd += lenient * square * (residual < 0.0)
-            seen = use[k, i] and not (strict > 0.0 and hidden[k, i])
-            trust = seen / (variance * (1.0 + odd) * (1.0 + odd))
-            nx, ny = ax * per_steep, ay * per_steep
-            pixels[k, 0, i], pixels[k, 1, i] = cover, residual
-            pixels[k, 2, i], pixels[k, 3, i] = tilt * tilt, expected
-            work[0, i] = tilt * nx
-            work[1, i] = tilt * ny
-            work[2, i] = 1.0
-            work[3, i] = cover * light
-            work[4, i] = tilt
-            work[5, i] = tilt * (nx * nx - ny * ny)
-            work[6, i] = tilt * 2.0 * nx * ny
-            work[7, i] = residual
-            work[8, i] = trust
-        for a in range(FREE):
-            for b in range(a, FREE + 1):
-                total = 0.0
-                for i in range(len(offset)):
-                    total += work[8, i] * work[a, i] * work[b, i]
-                if b == FREE:
-                    right[k, a] = total
-                else:
-                    matrix[k, a, b] = matrix[k, b, a] = total
+            lenient = 0.0
+            if not strict:
+                lenient = 1.0 / max(ratio * level, 4.0 * math.sqrt(noise[k, 1])) ** 2
+            for i in range(count):
+                x = offset[i, 0] + (middle[k, 0] - p[0])
+                y = offset[i, 1] + (middle[k, 1] - p[1])
+                ax, ay = xx * x + xy * y, xy * x + yy * y
+                squared = ax * x + ay * y + 1e-6
+                per_steep = 1.0 / math.sqrt(ax * ax + ay * ay + 1e-8)
+                v = min(max((math.sqrt(squared) - squared) * per_steep * per_blur, -1.0), 1.0)
+                v2 = v * v
+                cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
+                bright = 1.0 + slope_x * x + slope_y * y + bulge * min(squared, 1.0)
+                tilt = level * bright * 15 / 16 * (1.0 - v2) * (1.0 - v2) * per_blur
+                behind = ground + (1.0 - cover) * (ground_x * x + ground_y * y)
+                residual = signal[k, i] - behind - level * cover * bright
+                expected = noise[k, 0] + steeper * min(max(cover * bright, 0.0), 1.0)
+                variance = expected + imperfect * 4.0 * min(max(cover * (1.0 - cover), 0.0), 0.25)
+                square = residual * residual
+                unlikely = square / (OUTLIER_SD**2 * variance) if strict else 0.0
+                unlikely += lenient * square * (residual < 0.0)
+                covers[i], misses[i], squares[i], expects[i] = (
+                    cover,
+                    residual,
+                    tilt * tilt,
+                    expected,
+                )
+                odd[i] = use[k, i] * residual / math.sqrt(variance)
+                nx, ny = ax * per_steep, ay * per_steep
+                work[0, i] = tilt * nx
+                work[1, i] = tilt * ny
+                work[2, i] = 1.0
+                work[3, i] = cover * bright
+                work[4, i] = tilt
+                work[5, i] = tilt * (nx * nx - ny * ny)
+                work[6, i] = tilt * 2.0 * nx * ny
+                work[7, i] = residual
+                work[8, i] = use[k, i] / (variance * (1.0 + unlikely) * (1.0 + unlikely))
+            if turn in (FIRST, LATER):
+                hidden[k] = False
+                for i in range(count if not bare[k] else 0):
+                    number, score = 0, 0.0
+                    for j in beside[i]:
+                        if j >= 0:
+                            number, score = number + use[k, j], score + odd[j]
+                    limit = -LACKS * max(number, 1) ** (1.0 if coherent else 0.5)
+                    if score < limit and use[k, i] and covers[i] > 0.03:
+                        for j in around[i]:
+                            hidden[k, max(j, 0)] |= j >= 0
+            if strict:
+                for i in range(count):
+                    work[8, i] = 0.0 if hidden[k, i] else work[8, i]
+            for a in range(FREE + 1):
+                for b in range(min(a + 1, FREE)):
+                    total = 0.0
+                    for i in range(count):
+                        total += work[8, i] * work[a, i] * work[b, i]
+                    sums[a, b] = total
+            for a in range(FREE):
+                sums[a, a] += held[k, a]
+                sums[FREE, a] -= held[k, a] * (p[a] - start[k, a]) if a > 2 else 0.0
+                for b in range(a + 1):
+                    matrix[k, a, b] = matrix[k, b, a] = sums[a, b]
+            _solve(sums)
+            for a in range(FREE):
+                sums[FREE, a] = min(max(sums[FREE, a], -most[k, a]), most[k, a])
+                p[a] += sums[FREE, a]
+            p[3] = max(p[3], 0.3 * start[k, 3])
+            step[k] = math.sqrt(sums[FREE, 0] ** 2 + sums[FREE, 1] ** 2)
+            largest = max(largest, step[k])
+        ratio *= NARROWER
+        if turn > LATER and largest < SETTLED_PX:
+            break
 
 
 def _signal(picture: Picture, templates: Templates, place: Ints) -> tuple[Floats, Bools, Bools]:

@@ -334,21 +334,6 @@ def _inverse_form(xx, xy, yy, scale):
 
 
 @njit(cache=True)
-def _led(out, start, lead, axis):
-    """Return how far the markers of ``lead`` have moved along an axis from their starts: the
-    median; 0 if none has."""
-    count, a, b, c = 0, 0.0, 0.0, 0.0
-    for m in lead:
-        if m >= 0 and out[m, STEP] < SETTLED_LEAD_PX:
-            a, b, c, count = out[m, axis] - start[m, axis], a, b, count + 1
-    if count == 0:
-        return 0.0
-    if count < 3:
-        return (a + b) / count
-    return max(min(a, b), min(max(a, b), c))
-
-
-@njit(cache=True)
 def _fit_centres(
     image,
     own,
@@ -384,9 +369,18 @@ def _fit_centres(
     smallest, largest = np.inf, 0.0
     for k in range(len(start)):
         fit, mark = out[k], shape[k]
-        known = len(lead) > 0 and math.isfinite(start[k, 0] + start[k, 1])
+        # where a marker starts: moved as those that lead it, by the median
         for axis in range(2):
-            first[axis] = start[k, axis] + (_led(out, start, lead[k], axis) if known else 0.0)
+            first[axis] = start[k, axis]
+            count, a, b, c = 0, 0.0, 0.0, 0.0
+            for which in range(LEADS if len(lead) > 0 and math.isfinite(start[k].sum()) else 0):
+                m = lead[k, which]
+                if m >= 0 and out[m, STEP] < SETTLED_LEAD_PX:
+                    a, b, c, count = out[m, axis] - start[m, axis], a, b, count + 1
+            if 0 < count < 3:
+                first[axis] += (a + b) / count
+            elif count >= 3:
+                first[axis] += max(min(a, b), min(max(a, b), c))
         cx, cy = first[CENTRE_X], first[CENTRE_Y]
         if not (math.isfinite(cx) and math.isfinite(cy) and math.isfinite(mark[0])):
             continue
@@ -729,6 +723,11 @@ class Templates:
             return 1.0
         square = -0.25 / math.log(1.0 - self.usual_misfit**-0.5)
         return math.exp(4.0 * square / self.usual_radius_px**2)
+
+    @cached_property
+    def usual_noise(self) -> float:
+        """Median variance of the ground's noise, counts squared."""
+        return float(np.median(self.noise[:, 0]))
 
     @cached_property
     def usual_shape(self) -> Floats:
