@@ -11,9 +11,9 @@ on the patches in contact, slipping ones along their drag; exact to first order.
 
 **Patches.** The same press is solved on wider patches (on narrower ones where there are few), and
 compared. Under a smooth probe patches cut the contact's border by chance, so the difference may
-vanish. Under a sphere the error is that of Hertz's contact with the same border on the same
-patches; else one proportional to the square of the width is added. The tractions' error comes from
-how they bend from patch to patch, and takes no other solve.
+vanish. Under a sphere or a cone the error is that of Hertz's contact with the same border on the
+same patches; else one proportional to the square of the width is added. The tractions' error comes
+from how they bend from patch to patch, and takes no other solve.
 
 **Parts of a path** (friction). The same press is solved in half as many parts.
 
@@ -55,28 +55,23 @@ _MOST_RESPONDING = 600
 """Patches in contact from which on its response is computed on fewer, and what they cut isn't: the
 time grows with their cube."""
 
-_WIDER = 0.4
-_WIDER_FLAT = 0.5
-_WIDER_INCLINED = 0.65
-_WIDER_ROUNDED = 0.3
-_NARROWER = 1.5
-"""Error over the change with patches twice as wide, the same under flat faces, under inclined ones
-and where patches are graded up to a place on a rounded rim, or half as wide. Measured at 8 to 16
-across against 40: 0.46 to 0.5 under sharp flat faces, 0.6 inclined by 2 to 4 degrees; 0.07 to 0.28
-on round rounded rims; less elsewhere."""
-
-_ORDER = 1.8
+_ORDER, _ORDER_FLAT, _ORDER_INCLINED, _ORDER_ROUNDED = 1.8, 1.6, 1.3, 2.1
 _ALIKE = 1.3
-"""Order of that law, and the least ratio of widths that counts."""
+"""Order of the error in the width of patches: of smooth contacts, under flat faces, under inclined
+ones, and where patches are graded up to a place on a rounded rim; and the least ratio of widths
+that counts. Measured at 8 to 16 across against 40, error over the change with twice the width: 0.46
+to 0.5 under sharp flat faces, 0.6 inclined by 2 to 4 degrees; 0.07 to 0.28 on round rounded rims;
+less elsewhere."""
 
 _CUT = 0.38
 """Error of a smooth probe's force at a given depth, times the square of the patches across, on
 thick rubber, where nothing better is known (`_Border.as_hertz`)."""
 
 _AS_HERTZ, _LEFT, _LEFT_THIN = 1.2, 0.08, 2.0
-"""Least error of a sphere's force over `_Border.as_hertz`, what is added, times the patches in
-contact, and how many times `thin` that grows. Measured under 14 balls at 8 to 20 patches across
-against 40: up to 0.07 are missed; 0.21 on rubber thinner than the contact's radius."""
+"""Least error of the force under a sphere or a cone over `_Border.as_hertz`, what is added, times
+the patches in contact, and how many times `thin` that grows. Measured under 22 balls and 18 cones
+at 8 to 20 patches across against 40: up to 0.08 are missed; 0.21 on rubber thinner than the
+contact's radius."""
 
 _WHOLE = 0.75
 """Error of the force sideways where patches stick as a whole, over what their area is too large by:
@@ -102,14 +97,14 @@ Linear interpolation leaves up to an eighth of a difference; between patches it 
 Measured at 6 to 24 across against 36 to 40: 0.08 to 0.172 under balls, 0.09 to 0.155 under such
 cones, up to 0.335 elsewhere."""
 
-_CUT_FREE, _OF_SMOOTH = 0.15, 0.8
-"""Error of the force under an object's smooth borders, times patches over those of a square that a
-disc as wide as the contact fills; with the power 1.5 of the border's length over that disc's. And
-what of it sharp borders lack."""
+_CUT_WITHIN, _CUT_FREE, _OF_SMOOTH = 0.15, 0.5, 0.8
+"""Error of the force under a flat face that a curved body bends away from, times the patches over
+pi; under an object's smooth borders, over `_Border.by_chance`; and what of it sharp borders lack.
+Measured under 28 objects at 8, 11 and 14 across against 36, and on a lying cylinder 6 patches wide:
+up to 0.47."""
 
 _CUT_FREE_THIN = 2.0
-"""How many times `thin` that grows: 46 presses on 1 to 3 mm state 1.3 times or more of what
-finer patches show."""
+"""How many times `thin` both grow."""
 
 _CUT_RIM = 0.2
 """The same under a flat face so inclined that it touches with its rim, times the patches across.
@@ -270,22 +265,18 @@ class Estimates:
         self, state: ContactState, number: int, other: ContactState, borders: list[_Border]
     ) -> float:
         """Return the error over the change with ``number`` patches across: as much wider as those
-        are fewer, but under objects, whose largest number of patches may end both alike. A power
-        law goes through what is known of twice and half the width."""
+        are fewer, but under objects, whose largest number of patches may end both alike."""
         wider = self._job.setups[0].across / number
         if any(one.is_free_form for one in self._job.setups):
             wider = _patch_mm(other) / _patch_mm(state)
         ratio = max(wider, 1.0 / wider, _ALIKE)
-        if wider < 1.0:
-            known = _NARROWER
-        elif any(one.face is not None for one in self._job.setups):
+        order = _ORDER
+        if any(one.face is not None for one in self._job.setups):
             inclined = any(one.has_inclined_face for one in self._job.setups)
-            known = _WIDER_INCLINED if inclined else _WIDER_FLAT
+            order = _ORDER_INCLINED if inclined else _ORDER_FLAT
             if all(one.is_graded and one.is_rounded for one in borders if one.touches):
-                known = _WIDER_ROUNDED
-        else:
-            known = _WIDER
-        return float(known * (2.0**_ORDER - 1.0) / (ratio**_ORDER - 1.0))
+                order = _ORDER_ROUNDED
+        return float(1.0 / (ratio**order - 1.0)) + (wider < 1.0)
 
     @cached_property
     def _resolves_rims(self) -> bool:
@@ -433,7 +424,7 @@ class Estimates:
         """Return the error of the force sideways as patches that a smooth probe's border cuts stick
         as a whole, over the force: what their area is too large by."""
         setup, state = border.setup, border.state
-        smooth = isinstance(setup.probe, Sphere | Cone) or setup.is_free_form
+        smooth = border.is_smooth or setup.is_free_form
         held = self._job.steps[step].by_force[MOTIONS * number :]
         if not smooth or len(state.pressure_mpa) == 0:
             return 0.0
@@ -627,6 +618,11 @@ class _Border:
         return _joined(Load(self.state.load.terms[:1]))
 
     @property
+    def is_smooth(self) -> bool:
+        """Whether pressures vanish towards it under a probe of closed form."""
+        return isinstance(self.setup.probe, Sphere | Cone)
+
+    @property
     def touches(self) -> bool:
         """Whether there is any."""
         return len(self.state.pressure_mpa) > 0
@@ -734,7 +730,7 @@ class _Border:
     def cut_error(self) -> float:
         """The error of a smooth probe's force as patches cut its border."""
         count = len(self.state.pressure_mpa)
-        if count == 0 or not isinstance(self.setup.probe, Sphere | Cone):
+        if count == 0 or not self.is_smooth:
             return 0.0
         if self.as_hertz is None:
             return _CUT * (1.0 + self.thin) * math.pi / 4.0 / count
@@ -742,8 +738,8 @@ class _Border:
 
     @cached_property
     def as_hertz(self) -> float | None:
-        """That error under a sphere, with its sign; None where pressures don't show the border, or
-        the patches are many.
+        """That error with its sign; None where pressures don't show the border, or the patches are
+        many.
 
         Hertz's contact with the same border, on the same patches of a half-space, has a force that
         is known. What patches lack lies at the border, where p = k sqrt(distance): it is in
@@ -752,14 +748,14 @@ class _Border:
         from scipy.special import elliprd, elliprf
 
         pressure = self.state.pressure_mpa
-        if not (isinstance(self.setup.probe, Sphere) and 0 < len(pressure) <= _MOST_RESPONDING):
+        if not (self.is_smooth and 0 < len(pressure) <= _MOST_RESPONDING):
             return None
         load = self.load
         area = _areas(load)
         away = load.centre_mm - load.centre_mm.mean(axis=0)
         frame = load.frames[np.argmin(np.linalg.norm(away, axis=1))]
         place = away @ frame[:2].T
-        ends = Patches.outline(place, area, pressure, bent=False)
+        ends = Patches.outline(place, area, pressure, bent=isinstance(self.setup.probe, Cone))
         if ends is None:
             return None
         # 1. The ellipse through these ends: its middle, axes and half lengths.
@@ -798,9 +794,25 @@ class _Border:
         return max(1.0, len(self.open_sides[0]) * math.sqrt(math.pi / count) / 8.0)
 
     @property
+    def by_chance(self) -> float:
+        """The square of a patch's extent over the contact's width, as a disc's radius, with all of
+        a straight border along the grid cut alike, and as many such pieces by chance."""
+        patch, way, extent = self.open_sides
+        load, area = self.load, _areas(self.load)
+        axes = load.frames[len(load) // 2, :2]
+        outwards = np.rint(way @ axes.T).astype(int)
+        away = np.sum((load.centre_mm[patch] - load.centre_mm[0]) @ axes.T * outwards, axis=1)
+        lines = np.column_stack([outwards, np.rint(away / extent).astype(int)])
+        length = area[patch] / extent
+        pieces = np.bincount(np.unique(lines, axis=0, return_inverse=True)[1].ravel(), length)
+        width = 8.0 / math.pi * area.sum()  # times the length of the border
+        alike = float(np.linalg.norm(pieces))
+        return float(length @ extent**2) * alike / float(width**2)
+
+    @property
     def force_error(self) -> float:
         """The error of the force as patches cut a border within an upright flat face, or an
-        object's, the more the longer it is and where they miss sharp edges."""
+        object's, and miss its sharp edges."""
         setup, face = self.setup, self.setup.face
         within = False
         if face and not (setup.body.is_flat or setup.has_inclined_face):
@@ -808,11 +820,11 @@ class _Border:
             within = self.state.area_mm2 < 0.99 * whole
         if not (self.touches and (within or setup.is_free_form)):
             return 0.0
-        cut = _CUT_FREE * (1.0 + _CUT_FREE_THIN * self.thin) * math.pi / len(self.load)
+        grown = 1.0 + _CUT_FREE_THIN * self.thin
         if within:
-            return cut
-        cut *= 1.0 - _OF_SMOOTH * self.ends_sharply**2
-        return cut * float(self.longer**1.5) + self._astray
+            return _CUT_WITHIN * grown * math.pi / len(self.load)
+        smooth = 1.0 - _OF_SMOOTH * self.ends_sharply**2
+        return _CUT_FREE * grown * smooth * self.by_chance + self._astray
 
     @property
     def traction_error(self) -> float:
