@@ -517,45 +517,12 @@ class DiscFit(SoftWindow):
         """Fit by the part in sight, in place, ``doubted`` markers that differ from their neighbours
         and of which a part is hidden, and those ``cut`` off; ``outline`` (n, 4) are semi-axes and
         blur, px."""
-        # Which markers have another outline than their neighbours, as shares of the one at rest?
-        taken, known = fitted[:, RESHAPED] == OWN_SHAPE, np.isfinite(fitted[:, LEVEL])
-        fine = known & (taken | ~doubted)
-        rows = np.flatnonzero((known if templates.coherent else known & doubted) | cut)
-        radius = templates.radius_px
-        measured = np.column_stack(
-            [
-                (outline[:, :3] - templates.shape[:, :3]) / radius[:, None],
-                fitted[:, LEVEL] / templates.level,
-                outline[:, 3] / templates.shape[:, 6],
-            ]
-        )
-        usual, spread = _of_neighbours(measured, fine, self.around, rows)
-        axes_sd = np.hypot(KNOWN_OUTLINE, spread[:, :3].max(axis=1))
-        away = np.abs(measured[rows, :3] - usual[:, :3]).max(axis=1)
-        beyond = np.sqrt(np.fmax(away**2 - (DIFFERS * axes_sd) ** 2, 0.0))
-        if templates.coherent:  # what hides a part also takes its light
-            most = self._light_lost(fitted, fine, LEAST_LIGHT)[rows]
-            fitted[rows, DIFFERENCE] = radius[rows] * np.fmin(beyond, most)
-        few = doubted[rows] & ((beyond > 0.0) | ~taken[rows]) | cut[rows]
-        if not few.any():
+        known = np.isfinite(fitted[:, LEVEL])
+        fine = known & ((fitted[:, RESHAPED] == OWN_SHAPE) | ~doubted)
+        rows, expected = self._expected(templates, fitted, fine, doubted, cut, outline)
+        if not len(rows):
             return
-        # Fit these with the outline, brightness and blur that their neighbours lead to expect.
-        rows, usual, axes_sd, spread = rows[few], usual[few], axes_sd[few], spread[few]
-        unknown = self.cut[rows]
-        if unknown.any():
-            whole = np.delete(templates.shape, np.flatnonzero(self.cut), axis=0)[:, :3]
-            apart = _medians(np.abs(whole - _medians(whole, 0)), 0).max()
-            axes_sd = np.hypot(axes_sd, unknown * 1.4826 * apart / radius[rows])
-        level = templates.level[rows] * usual[:, 3]
-        expected = Expected(
-            axes=templates.shape[rows, :3] + usual[:, :3] * radius[rows, None],
-            axes_sd=axes_sd * radius[rows],
-            level=level,
-            level_sd=np.hypot(np.where(unknown, OPEN_LEVEL, KNOWN_LEVEL), spread[:, 3]) * level,
-            blur=templates.shape[rows, 6] * usual[:, 4],
-            bare=cut[rows],
-        )
-        start = fitted[rows, CENTRE]
+        radius, start = templates.radius_px, fitted[rows, CENTRE]
         part = fit_visible(picture, templates, rows, start, expected)
         # A fit that leaves no more than the noise, finds something hidden, and is certain, is good.
         worst = _quantiles(fitted[fine, MISFIT], WORST_FITS)[0] if fine.any() else 0.0
@@ -595,6 +562,54 @@ class DiscFit(SoftWindow):
         part[:, EDGE] = np.where(part[:, EDGE] < WHOLE_EDGE, LEAST_EDGE, 1.0)
         part[:, RESHAPED] = PART_IN_SIGHT
         fitted[rows[good]] = part[good]
+
+    def _expected(
+        self,
+        templates: Templates,
+        fitted: Floats,
+        fine: Bools,
+        doubted: Bools,
+        cut: Bools,
+        outline: Floats,
+    ) -> tuple[Ints, Expected]:
+        """Return which markers to fit by the part in sight, and what they should look like by their
+        ``fine`` (n,) neighbours; under compression `DIFFERENCE` is filled. For the rest see
+        `_fit_parts`."""
+        # Which markers have another outline than their neighbours, as shares of the one at rest?
+        taken, known = fitted[:, RESHAPED] == OWN_SHAPE, np.isfinite(fitted[:, LEVEL])
+        rows = np.flatnonzero((known if templates.coherent else known & doubted) | cut)
+        radius = templates.radius_px
+        measured = np.column_stack(
+            [
+                (outline[:, :3] - templates.shape[:, :3]) / radius[:, None],
+                fitted[:, LEVEL] / templates.level,
+                outline[:, 3] / templates.shape[:, 6],
+            ]
+        )
+        usual, spread = _of_neighbours(measured, fine, self.around, rows)
+        axes_sd = np.hypot(KNOWN_OUTLINE, spread[:, :3].max(axis=1))
+        away = np.abs(measured[rows, :3] - usual[:, :3]).max(axis=1)
+        beyond = np.sqrt(np.fmax(away**2 - (DIFFERS * axes_sd) ** 2, 0.0))
+        if templates.coherent:  # what hides a part also takes its light
+            most = self._light_lost(fitted, fine, LEAST_LIGHT)[rows]
+            fitted[rows, DIFFERENCE] = radius[rows] * np.fmin(beyond, most)
+        few = doubted[rows] & ((beyond > 0.0) | ~taken[rows]) | cut[rows]
+        # What their neighbours lead to expect of these, were they whole.
+        rows, usual, axes_sd, spread = rows[few], usual[few], axes_sd[few], spread[few]
+        unknown = self.cut[rows]
+        if unknown.any():
+            whole = np.delete(templates.shape, np.flatnonzero(self.cut), axis=0)[:, :3]
+            apart = _medians(np.abs(whole - _medians(whole, 0)), 0).max()
+            axes_sd = np.hypot(axes_sd, unknown * 1.4826 * apart / radius[rows])
+        level = templates.level[rows] * usual[:, 3]
+        return rows, Expected(
+            axes=templates.shape[rows, :3] + usual[:, :3] * radius[rows, None],
+            axes_sd=axes_sd * radius[rows],
+            level=level,
+            level_sd=np.hypot(np.where(unknown, OPEN_LEVEL, KNOWN_LEVEL), spread[:, 3]) * level,
+            blur=templates.shape[rows, 6] * usual[:, 4],
+            bare=cut[rows],
+        )
 
     def _light_lost(self, fitted: Floats, fine: Bools, chance: float) -> Floats:
         """Return (n,) by which share markers have less light than the ``fine`` ones (n,), plus
