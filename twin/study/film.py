@@ -305,99 +305,156 @@ def film_to_folder(
     SomeFailed
         The press has no equilibrium in some step: what is before it is filmed.
     """
-    from twin.study.frames import VideoWriter, read_picture
-
-    # Refuse what can't be filmed, solve the press at every frame's time, empty the folder.
+    film = _Filming(scene, folder, progress or _silent, h264)
+    film.press()
+    film.prepare_folder()
+    film.take_pictures()
     if h264:
-        VideoWriter.require()
-    _refuse_filmless(scene)
-    rate = scene.ccd.frames_per_second
-    if rate is None:
-        raise RecipeError("ccd.frames_per_second: a film needs it; give, for example, 30")
-    assert scene.press is not None
-    pictures = folder / "frames"
-    film = folder / "frames.mp4"
-    names = ("rest.png", "rest", "scene.toml", "truth.npz")
-    known = [name for name in names if (folder / name).exists()]
-    if known and not pictures.is_dir() and not film.is_file():
-        raise InputError(
-            f"--out {folder}: holds {', '.join(known)}, which no film wrote; give another folder"
-        )
-    press, ends_s = at_frames(scene.press, rate)
-    progress = progress or _silent
-    sensor = Sensor(scene, progress)
-    progress("contact", 0.02)
-    state = sensor.press(press)
-    make_folder(pictures)
-    rests = folder / "rest"
-    states = state.path
-    sensor.keep_markers()  # digits must not follow from how many frames are there
-    exposures = Exposures(
-        sensor, ends_s[: len(states)], lambda number: sensor.quick_motion(states[number].load)
-    )
-    count = int(exposures.time_s[-1] * rate + _SAME_S) + 1
-    groups = scene.imaging[1].lit
+        film.encode()
+    return film.summary()
 
-    def row_of(number: int) -> dict[str, Any]:
-        time_s = number / rate
-        at = exposures.state_at(time_s)
-        row = _row(sensor, exposures.motion(time_s), states[at - 1] if at else None)
+
+class _Filming:
+    """The stages of `film_to_folder`, in the order in which they are called.
+
+    Attributes
+    ----------
+    pictures, video
+        Where the frames, and the encoded film, lie.
+    rows
+        The truth of the frames that were taken.
+    count
+        Number of frames.
+    """
+
+    def __init__(self, scene: Scene, folder: Path, progress: Progress, h264: bool) -> None:
+        """Refuse what can't be filmed."""
+        from twin.study.frames import VideoWriter
+
+        if h264:
+            VideoWriter.require()
+        _refuse_filmless(scene)
+        rate = scene.ccd.frames_per_second
+        if rate is None:
+            raise RecipeError("ccd.frames_per_second: a film needs it; give, for example, 30")
+        self.scene, self.folder, self.progress, self.h264 = scene, folder, progress, h264
+        self.rate = rate
+        self.pictures = folder / "frames"
+        self.video = folder / "frames.mp4"
+        names = ("rest.png", "rest", "scene.toml", "truth.npz")
+        known = [name for name in names if (folder / name).exists()]
+        if known and not self.pictures.is_dir() and not self.video.is_file():
+            raise InputError(
+                f"--out {folder}: holds {', '.join(known)}, which no film wrote; give another "
+                "folder"
+            )
+
+    def press(self) -> None:
+        """Solve the press at every frame's time."""
+        assert self.scene.press is not None
+        press, ends_s = at_frames(self.scene.press, self.rate)
+        self.sensor = sensor = Sensor(self.scene, self.progress)
+        self.progress("contact", 0.02)
+        self.state = sensor.press(press)
+        self.states = states = self.state.path
+        sensor.keep_markers()  # digits must not follow from how many frames are there
+        self.exposures = Exposures(
+            sensor, ends_s[: len(states)], lambda number: sensor.quick_motion(states[number].load)
+        )
+        self.count = int(self.exposures.time_s[-1] * self.rate + _SAME_S) + 1
+
+    def prepare_folder(self) -> None:
+        """Keep what an interrupted film left, remove all else of an older one, and write the scene
+        and its rest pictures."""
+        from twin.study.frames import VideoWriter
+
+        folder, groups = self.folder, self.scene.imaging[1].lit
+        make_folder(self.pictures)
+        rests = folder / "rest"
+        self.rows = _kept(folder, self.scene, self._row_of)[: self.count]
+        numbered = sorted(self.pictures.glob("[0-9]" * 6 + ".png"))
+        stale = [] if self.rows else [folder / "truth.npz"]
+        rest_files = (folder / "rest.png", *rests.glob("*.png"))
+        for old in (*stale, self.video, *numbered[len(self.rows) :], *rest_files):
+            old.unlink(missing_ok=True)
+        write_whole(folder / "scene.toml", self.scene.to_toml().encode())
+        if groups:
+            make_folder(rests)
+        for number, rest in enumerate(self.sensor.rest_pictures):
+            if self.h264:
+                rest = VideoWriter.encoded(rest, self.video)
+            name = rests / f"{number:06d}.png" if groups else folder / "rest.png"
+            write_whole(name, png_bytes(rest))
+
+    def take_pictures(self) -> None:
+        """Take the pictures that are not there yet.
+
+        A killed film keeps its truth up to the last write, which takes a twentieth of the time.
+        """
+        written = time.monotonic()
+        took = 0.0
+        try:
+            for number in range(len(self.rows), self.count):
+                done = 0.1 + 0.89 * number / self.count
+                self.progress(f"picture {number + 1} of {self.count}", done)
+                picture = self.exposures.picture(number / self.rate, number + 1, number)
+                write_whole(self._frame(number), png_bytes(picture))
+                self.rows.append(self._row_of(number))
+                if (begun := time.monotonic()) - written > _WRITE_EVERY * took:
+                    self._write_truth()
+                    written = time.monotonic()
+                    took = written - begun
+        finally:
+            if self.rows:
+                self._write_truth()
+
+    def encode(self) -> None:
+        """Make a video of the pictures, which go."""
+        from twin.study.frames import VideoWriter, read_picture
+
+        height, width = self.sensor.rest_pictures[-1].shape[:2]
+        with VideoWriter(self.video, (width, height), self.rate) as video:
+            for number in range(self.count):
+                video.add(read_picture(self._frame(number)))
+        shutil.rmtree(self.pictures)
+
+    def summary(self) -> str:
+        """Return a few lines; raise `SomeFailed` where the press ended early."""
+        self.progress("done", 1.0)
+        if not self.state.complete:
+            raise SomeFailed(
+                f"press: {self.state.reason}; the {self.count} pictures before are in {self.folder}"
+            )
+        truth, seconds = self.truth, self.rows[-1]["time_s"]
+        off, beyond = (
+            100 * np.max(truth[f"{of}_error"]) for of in ("displacement", "linearisation")
+        )
+        largest = np.nanmax(np.linalg.norm(truth["marker_px"] - truth["marker_rest_px"], axis=2))
+        return "\n".join(
+            [
+                f"film        {self.count} pictures in {seconds:.3g} s, {self.rate:g} a second; "
+                f"markers move up to {largest:.3g} px",
+                f"truth       displacements {off:.1g} % of the largest off; linear theory "
+                f"{beyond:.1g} %",
+                f"written to  {self.video if self.h264 else self.pictures}, with the truth in "
+                f"{self.folder / 'truth.npz'}",
+            ]
+        )
+
+    def _frame(self, number: int) -> Path:
+        return self.pictures / f"{number:06d}.png"
+
+    def _row_of(self, number: int) -> dict[str, Any]:
+        """Return the truth of a frame."""
+        time_s = number / self.rate
+        at = self.exposures.state_at(time_s)
+        row = _row(self.sensor, self.exposures.motion(time_s), self.states[at - 1] if at else None)
+        groups = self.scene.imaging[1].lit
         return row | {"time_s": time_s} | ({"lit": number % len(groups)} if groups else {})
 
-    rows = _kept(folder, scene, row_of)[:count]
-    numbered = sorted(pictures.glob("[0-9]" * 6 + ".png"))
-    stale = [] if rows else [folder / "truth.npz"]
-    for old in (*stale, film, folder / "rest.png", *numbered[len(rows) :], *rests.glob("*.png")):
-        old.unlink(missing_ok=True)
-    write_whole(folder / "scene.toml", scene.to_toml().encode())
-    if groups:
-        make_folder(rests)
-    for number, rest in enumerate(sensor.rest_pictures):
-        if h264:
-            rest = VideoWriter.encoded(rest, film)
-        name = rests / f"{number:06d}.png" if groups else folder / "rest.png"
-        write_whole(name, png_bytes(rest))
-
-    def write_truth() -> dict[str, Any]:
-        truth = _truth(sensor, rows)
-        write_whole(folder / "truth.npz", lambda file: np.savez_compressed(file, **truth))
-        return truth
-
-    # Film it, as far as it goes. A killed film keeps its truth up to the last write, which takes a
-    # twentieth of the time.
-    written = time.monotonic()
-    took = 0.0
-    try:
-        for number in range(len(rows), count):
-            progress(f"picture {number + 1} of {count}", 0.1 + 0.89 * number / count)
-            picture = exposures.picture(number / rate, number + 1, number)
-            write_whole(pictures / f"{number:06d}.png", png_bytes(picture))
-            rows.append(row_of(number))
-            if (begun := time.monotonic()) - written > _WRITE_EVERY * took:
-                write_truth()
-                written = time.monotonic()
-                took = written - begun
-    finally:
-        if rows:
-            truth = write_truth()
-    if h264:
-        with VideoWriter(film, (rest.shape[1], rest.shape[0]), rate) as video:
-            for number in range(count):
-                video.add(read_picture(pictures / f"{number:06d}.png"))
-        shutil.rmtree(pictures)
-    progress("done", 1.0)
-    if not state.complete:
-        raise SomeFailed(f"press: {state.reason}; the {count} pictures before are in {folder}")
-    largest = np.nanmax(np.linalg.norm(truth["marker_px"] - truth["marker_rest_px"], axis=2))
-    return "\n".join(
-        [
-            f"film        {count} pictures in {rows[-1]['time_s']:.3g} s, {rate:g} a second; "
-            f"markers move up to {largest:.3g} px",
-            f"truth       displacements {100 * np.max(truth['displacement_error']):.1g} % of the "
-            f"largest off; linear theory {100 * np.max(truth['linearisation_error']):.1g} %",
-            f"written to  {film if h264 else pictures}, with the truth in {folder / 'truth.npz'}",
-        ]
-    )
+    def _write_truth(self) -> None:
+        self.truth = _truth(self.sensor, self.rows)
+        write_whole(self.folder / "truth.npz", lambda file: np.savez_compressed(file, **self.truth))
 
 
 def _row(sensor: Sensor, motion: Motion, state: ContactState | None) -> dict[str, Any]:
