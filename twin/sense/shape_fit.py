@@ -336,8 +336,8 @@ ASIDE, ASIDE_STEP, MAY_LACK = 0.6, 0.1, 0.15
 """`Expected.likeliest` looks so far for a better start, in steps of so much, both over the radius;
 there missing light counts less above so much of the brightness."""
 
-LARGEST_STEPS = np.array([0.4, 0.4, np.inf, np.inf, 0.1, 0.1, 0.1])
-"""Of `FREE`, over the radius."""
+LARGEST_STEPS = np.array([0.4, 0.4, 1e9, 1e9, 0.1, 0.1, 0.1])
+"""Of `FREE`, over the radius; finite, as fast arithmetic knows no infinity."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -524,13 +524,7 @@ def _fit_visible(
     for turn in range(LAST):
         strict, largest = turn >= FIRST, 0.0
         for k in range(len(signal)):
-            p, covers, misses, squares, expects = (
-                fit[k],
-                pixels[k, 0],
-                pixels[k, 1],
-                pixels[k, 2],
-                pixels[k, 3],
-            )
+            p, found = fit[k], pixels[k]
             xx, xy, yy = axes[k, 0] + p[4] + p[5], axes[k, 1] + p[6], axes[k, 2] + p[4] - p[5]
             xx, xy, yy = xx * xx + xy * xy, xy * (xx + yy), yy * yy + xy * xy
             determinant = max(xx * yy - xy * xy, 1e-6)
@@ -567,12 +561,8 @@ def _fit_visible(
                 square = residual * residual
                 unlikely = square / (OUTLIER_SD**2 * variance) if strict else 0.0
                 unlikely += lenient * square * (residual < 0.0)
-                covers[i], misses[i], squares[i], expects[i] = (
-                    cover,
-                    residual,
-                    tilt * tilt,
-                    expected,
-                )
+                found[0, i], found[1, i] = cover, residual
+                found[2, i], found[3, i] = tilt * tilt, expected
                 odd[i] = use[k, i] * residual / math.sqrt(variance)
                 nx, ny = ax * per_steep, ay * per_steep
                 work[0, i] = tilt * nx
@@ -592,7 +582,7 @@ def _fit_visible(
                         if j >= 0:
                             number, score = number + use[k, j], score + odd[j]
                     limit = -LACKS * max(number, 1) ** (1.0 if coherent else 0.5)
-                    if score < limit and use[k, i] and covers[i] > 0.03:
+                    if score < limit and use[k, i] and found[0, i] > 0.03:
                         for j in around[i]:
                             hidden[k, max(j, 0)] |= j >= 0
             if strict:
@@ -610,11 +600,12 @@ def _fit_visible(
                 for b in range(a + 1):
                     matrix[k, a, b] = matrix[k, b, a] = sums[a, b]
             _solve(sums)
+            change = sums[FREE]
             for a in range(FREE):
-                sums[FREE, a] = min(max(sums[FREE, a], -most[k, a]), most[k, a])
-                p[a] += sums[FREE, a]
+                change[a] = min(max(change[a], -most[k, a]), most[k, a])
+                p[a] += change[a]
             p[3] = max(p[3], 0.3 * start[k, 3])
-            step[k] = math.sqrt(sums[FREE, 0] ** 2 + sums[FREE, 1] ** 2)
+            step[k] = math.sqrt(change[0] ** 2 + change[1] ** 2)
             largest = max(largest, step[k])
         ratio *= NARROWER
         if turn > LATER and largest < SETTLED_PX:
