@@ -104,7 +104,7 @@ def test_a_command_takes_one_thread_unless_the_user_chose(options, environment, 
         "    inside = threadpoolctl.threadpool_info()\n"
         "print(outside[0]['num_threads'], inside[0]['num_threads'])"
     )
-    clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    clean = {name: value for name, value in os.environ.items() if not name.endswith("_THREADS")}
     clean["PYTHONPATH"] = str(Path(twin.__file__).parent.parent)
     done = subprocess.run(
         [sys.executable, "-c", code, "scenes", *options], env={**clean, **environment}, capture_output=True, text=True
