@@ -27,7 +27,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, Unused
 from twin import commands
 from twin.blas_threads import THREADS, set_environment
 from twin.errors import InputError, RecipeError, TwinError
-from twin.files import plain, unwritable
+from twin.files import plain
 
 app = App(
     name="twin",
@@ -280,12 +280,13 @@ def _unexpected(problem: Exception, heard: bool) -> int:
             file=sys.stderr,
         )
         return 2
-    if isinstance(problem, OSError) and problem.errno and unwritable("", problem).exit_code == 1:
-        # of standard output, a temporary file, or a library's own
-        _drop_output()
+    if isinstance(problem, OSError) and problem.errno:
         where = f"standard output, or a file in --out or {tempfile.gettempdir()}"
-        print(f"twin: {unwritable(problem.filename or where, problem)}", file=sys.stderr)
-    else:
-        print(f"twin: internal error: {type(problem).__name__}: {problem}", file=sys.stderr)
-        print("Set TWIN_DEBUG=1 to see where, and please report it.", file=sys.stderr)
+        unwritable = TwinError.unwritable(problem.filename or where, problem)
+        if unwritable.exit_code == 1:  # of standard output, a temporary file, or a library's own
+            _drop_output()
+            print(f"twin: {unwritable}", file=sys.stderr)
+            return 1
+    print(f"twin: internal error: {type(problem).__name__}: {problem}", file=sys.stderr)
+    print("Set TWIN_DEBUG=1 to see where, and please report it.", file=sys.stderr)
     return 1

@@ -18,7 +18,11 @@ code   meaning
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterable, Mapping
+
+_FULL = {None, errno.ENOSPC, errno.EFBIG, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}
+"""Error numbers of a full or read-only disk; numpy and HDF5 give none."""
 
 
 def did_you_mean(
@@ -53,6 +57,17 @@ class TwinError(Exception):
     """
 
     exit_code = 1
+
+    @staticmethod
+    def unwritable(path: object, problem: OSError) -> TwinError:
+        """Return the error of a file that can't be written: exit code 1 where the disk is full or
+        read-only, 2 where its name or folder is wrong."""
+        why = problem.strerror or problem  # numpy gives the number of bytes only
+        kind = TwinError if problem.errno in _FULL else InputError
+        return kind(
+            f"{path}: can't be written ({why}); files written so far are whole. Make room or name "
+            "another folder (--out, TWIN_CACHE, TMPDIR), and run again."
+        )
 
 
 class RecipeError(TwinError):

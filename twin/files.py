@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import errno
 import hashlib
 import json
 import os
@@ -62,9 +61,6 @@ _UNREADABLE = (
     zlib.error,
 )
 """Exceptions of numpy and zipfile on damaged archives."""
-
-_FULL = {None, errno.ENOSPC, errno.EFBIG, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}
-"""Error numbers of a full or read-only disk; numpy and HDF5 give none."""
 
 _unkept: list[str] = []
 """Why the cache can't be written, once it is known."""
@@ -164,7 +160,7 @@ def make_folder(folder: Path) -> None:
             "another"
         ) from None
     except OSError as problem:
-        raise unwritable(folder, problem) from None
+        raise TwinError.unwritable(folder, problem) from None
     if not os.access(folder, os.W_OK):
         raise InputError(f"{folder}: the output folder can't be written; give another")
     for part in folder.glob(".*.part*"):  # a video's ends in its format
@@ -195,17 +191,6 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def unwritable(path: object, problem: OSError) -> TwinError:
-    """Return the error of a file that can't be written: exit code 1 where the disk is full or
-    read-only, 2 where its name or folder is wrong."""
-    why = problem.strerror or problem  # numpy gives the number of bytes only
-    kind = TwinError if problem.errno in _FULL else InputError
-    return kind(
-        f"{path}: can't be written ({why}); files written so far are whole. Make room or name "
-        "another folder (--out, TWIN_CACHE, TMPDIR), and run again."
-    )
-
-
 def write_whole(
     path: Path, content: bytes | Callable[[IO[bytes]], object], *, first: bool = False
 ) -> None:
@@ -223,7 +208,7 @@ def write_whole(
     Raises
     ------
     TwinError
-        See `unwritable`.
+        See `TwinError.unwritable`.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -237,7 +222,7 @@ def write_whole(
         if not (first and _linked(part, path)):
             os.replace(part, path)
     except OSError as problem:
-        raise unwritable(path, problem) from None
+        raise TwinError.unwritable(path, problem) from None
     finally:
         with contextlib.suppress(OSError):  # without a folder there is no partial file
             part.unlink(missing_ok=True)

@@ -23,8 +23,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice, spacing
-from twin.errors import InputError, SomeFailed
-from twin.files import make_folder, png_bytes, unwritable, write_whole
+from twin.errors import InputError, SomeFailed, TwinError
+from twin.files import make_folder, png_bytes, write_whole
 from twin.parts.scene import Scene
 from twin.sense.calibration import Calibration, read_calibration
 from twin.sense.inverse import METHODS
@@ -434,7 +434,7 @@ class _TableFile:
             if self._kind == ".parquet" and len(self._rows) >= _GROUP:
                 self._flush_parquet()
         except OSError as problem:
-            raise unwritable(self.path, problem) from None
+            raise TwinError.unwritable(self.path, problem) from None
 
     def close(self) -> None:
         """Finish the file and give it its name; without rows there is none."""
@@ -456,7 +456,7 @@ class _TableFile:
             if self._part.exists():
                 os.replace(self._part, self.path)
         except OSError as problem:
-            raise unwritable(self.path, problem) from None
+            raise TwinError.unwritable(self.path, problem) from None
         finally:
             self._part.unlink(missing_ok=True)
 

@@ -36,8 +36,8 @@ from pathlib import Path
 from typing import Any
 
 from twin.blas_threads import one_thread
-from twin.errors import InputError, MissingCapability
-from twin.files import make_folder, temporary_folder, unwritable
+from twin.errors import InputError, MissingCapability, TwinError
+from twin.files import make_folder, temporary_folder
 
 Work = Callable[[Path, int], Any]
 """Computes task number n of the job whose files are in a folder."""
@@ -454,7 +454,7 @@ def _locked(path: Path) -> int:
         try:
             handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         except OSError as problem:
-            raise unwritable(path, problem) from None
+            raise TwinError.unwritable(path, problem) from None
         try:
             _lock(handle)
         except OSError:

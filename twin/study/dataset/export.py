@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Progress
-from twin.errors import InputError, MissingCapability
-from twin.files import make_folder, unwritable, write_whole
+from twin.errors import InputError, MissingCapability, TwinError
+from twin.files import make_folder, write_whole
 from twin.study.dataset.reader import DatasetReader
 
 FORMATS = ("hdf5", "coco", "webdataset")
@@ -95,7 +95,7 @@ def _hdf5(reader: DatasetReader, out: Path, progress: Progress | None) -> list[P
                     file[rest] = np.stack([row[name] for row in rests])
         os.replace(part, path)
     except OSError as problem:
-        raise unwritable(path, problem) from None
+        raise TwinError.unwritable(path, problem) from None
     finally:
         part.unlink(missing_ok=True)
     return [path]
