@@ -62,10 +62,11 @@ def test_terms_of_no_rubber_are_refused(terms):
         dataclasses.replace(CALIBRATION, provenance=json.dumps({"relaxation": terms}))
 
 
-@pytest.mark.parametrize("factor", ["ab", None, -0.1, 1.0, float("nan")])
-def test_a_factor_of_no_forces_is_refused(factor):
-    with pytest.raises(InputError, match=r"calibration: scale_error = .* must lie from 0 to 1"):
-        dataclasses.replace(CALIBRATION, provenance=json.dumps({"scale_error": factor}))
+@pytest.mark.parametrize("name", ["scale_error", "mesh_error", "print_error"])
+@pytest.mark.parametrize("share", ["ab", None, -0.1, 1.0, float("nan")])
+def test_a_share_beyond_the_whole_is_refused(name, share):
+    with pytest.raises(InputError, match=rf"calibration: {name} = .* must lie from 0 to 1"):
+        dataclasses.replace(CALIBRATION, provenance=json.dumps({name: share}))
 
 
 @pytest.mark.parametrize("size", [640, [640], [640, "480"], [0, 480], {"width": 640}])

@@ -260,6 +260,12 @@ def test_another_sensors_calibration_is_doubted(long_recording, tmp_path):
     ]
     for other in others:
         assert all("twin calibrate" in reason for reason in felt(tmp_path, rest, other, frames[5:7])["reason"])
+    aside = 0.06 * np.hypot(*(layout[1] - layout[0])) * (-1.0) ** np.arange(len(layout))
+    for error in (0.0, 0.045):
+        told = json.dumps({"print_error": error})
+        rough = replace(calibration, layout_px=layout + aside[:, None] * [1, 0], provenance=told)
+        (reason,) = felt(tmp_path, rest, rough, frames[6:7])["reason"]
+        assert ("scattered" in reason) == (error == 0.0)
     half = replace(calibration, layout_px=layout + np.where(blue, [200.0, 0.0], 0.0))
     assert "calibration's 83 markers" in felt(tmp_path, rest, half, frames[6:7])["reason"][0]
     sized = replace(calibration, provenance=json.dumps({"picture_px": list(rest.shape[1::-1])}))

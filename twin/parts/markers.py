@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from twin.arrays import Bools, Chart, Floats, Points, frozen, grid_points
 from twin.errors import RecipeError
-from twin.parts.body import Block, Body
+from twin.parts.body import Block, Body, Solid
 from twin.parts.material import Cover, Material
 from twin.parts.part import LEAST_MM, Part, Place, Share
 
@@ -230,7 +230,7 @@ class MarkerSet:
             raise RecipeError(
                 f"markers.{names[first]}: {int(bad.sum())} of {len(points)} markers lie outside "
                 f"the body, the first at ({x:.3g}, {y:.3g}, {z:.3g}) mm: reduce depth_mm, "
-                f"pitch_mm, columns, rows or diameter_mm{_if_turned(body, points, radii_mm)}"
+                f"pitch_mm, columns, rows or diameter_mm{_or_body(body, points, radii_mm)}"
             )
         return MarkerSet(
             layer=frozen(names),
@@ -240,8 +240,11 @@ class MarkerSet:
         )
 
 
-def _if_turned(body: Body, points: Floats, radii_mm: Floats) -> str:
-    """Return a hint if the markers would lie in a block whose sides were exchanged."""
+def _or_body(body: Body, points: Floats, radii_mm: Floats) -> str:
+    """Return a hint where the body may be wrong: a file's origin beside the middle of its sensing
+    surface, or a block's sides exchanged."""
+    if isinstance(body, Solid):
+        return "; or set body.origin_mm to the place in the file that is to be above their middle"
     turned = body.piece_distances(points[:, [1, 0, 2]]).min(axis=1) >= radii_mm
     if not (isinstance(body, Block) and turned.all()):
         return ""

@@ -71,7 +71,7 @@ class Calibration:
         Where the transfer comes from.
     provenance
         JSON text: how it was made, with a digest of the nominal scene; see `relaxation`,
-        `scale_error`, `mesh_error` and `by_camera`.
+        `scale_error`, `mesh_error`, `print_error` and `by_camera`.
     by_thickness
         (2n, 3k) px/N, how much `transfer` changes by one standard deviation of the body's
         thickness, or from a half-space to the drawn body; (0, 0) where that isn't known.
@@ -158,7 +158,8 @@ class Calibration:
                 json.loads(getattr(self, name))
             except (ValueError, RecursionError) as problem:
                 raise InputError(f"calibration: {name} must be JSON text ({problem})") from None
-        for checked in ("relaxation", "scale_error", "mesh_error", "_camera_error", "_picture_px"):
+        shares = ("scale_error", "mesh_error", "print_error")
+        for checked in ("relaxation", *shares, "_camera_error", "_picture_px"):
             getattr(self, checked)  # bad ones are refused here
         if self.has_camera:
             self._optics  # noqa: B018  a bad camera is refused here
@@ -225,6 +226,15 @@ class Calibration:
         It stands in `provenance`, as ``mesh_error``.
         """
         return self._share("mesh_error")
+
+    @cached_property
+    def print_error(self) -> float:
+        """Standard deviation of a printed marker's place along each axis, over the pitch, within
+        the tolerances; 0 if that isn't known.
+
+        It stands in `provenance`, as ``print_error``.
+        """
+        return self._share("print_error")
 
     def _share(self, name: str) -> float:
         found = self.facts.get(name, 0.0)

@@ -503,6 +503,7 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
     grid = scene.inverse.sites
     method, room = scene.calibration.method, scene.tolerance
     mesh = EXPECTED[scene.body.is_flat, "nominal"].inside
+    pitch_mm = min(layer.pitch_mm for layer in scene.markers.values())
     drawn = method not in BY_PRESSES and room.preset != "none"
     facts = {
         "digest": _sensor_digest(scene),
@@ -512,6 +513,7 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
         "relaxation": [(term.share, term.time_s) for term in scene.material.relaxation],
         "scale_error": scene.scale_error if drawn else 0.0,
         "camera_error": [room.pupil_mm, room.tilt_deg] if drawn else [0.0, 0.0],
+        "print_error": min(room.print_mm / pitch_mm, 0.9) if drawn else 0.0,
         "mesh_error": mesh if method == "compliance" else 0.0,
         "picture_px": scene.camera and [scene.camera.width_px, scene.camera.height_px],
         "seed": scene.seed,

@@ -54,6 +54,9 @@ _STRETCH, _APART, _SCATTER = 0.03, 0.015, 0.05
 difference of it between two layers (another depth of one), and root mean square distance that is
 left, over the pitch. 120 sensors within the shipped tolerances stay below .023, .011 and .021."""
 
+_PRINTED = 1.5
+"""Largest such distance over what errors of the print make, where those are larger."""
+
 _SCATTER_MEASURED = 0.005
 """The same for measured rest places: another sensor of the design is .016 to .028 off."""
 
@@ -335,7 +338,9 @@ def _other_sensor(rest_px: Pixels, calibration: Calibration) -> str:
             f"the rest picture shows only {int(seen.sum())} of the calibration's {len(seen)} "
             f"markers: {remedy}"
         )
-    allowed = _SCATTER_MEASURED if calibration.facts.get("rest") == "measured" else _SCATTER
+    allowed = max(_SCATTER, _PRINTED * np.sqrt(2.0) * calibration.print_error)
+    if calibration.facts.get("rest") == "measured":
+        allowed = _SCATTER_MEASURED
     stretches: list[Floats] = []
     for name in calibration.layout:
         rows = np.flatnonzero((calibration.layer == name) & seen)
