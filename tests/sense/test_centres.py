@@ -9,7 +9,7 @@ from drawn import flat_layout
 from benchmarks.discs import expose, scene
 from twin.sense.centre import Look
 from twin.sense.detect import Blobs
-from twin.sense.paper_centroid import AT_REST, PaperCentroid
+from twin.sense.paper_centroid import PaperCentroid
 from twin.sense.template import LANES, disc, gather
 from twin.sense.track import Tracker
 
@@ -38,7 +38,7 @@ def test_centroids_are_those_of_plain_sums_up_to_every_border(half: int) -> None
     found = cells(picture, starts, 2.0 * half, (1.0, 0.1, -0.9), 20.0, 1.0)
     signal = np.maximum(picture @ np.array([1.0, 0.1, -0.9]) - 20.0, 0.0)
     for at, centroid in zip(starts, found, strict=True):
-        for _ in range(AT_REST):
+        for _ in range(2):
             column, row = np.rint(at).astype(int)
             rows = np.arange(max(row - half, 0), min(row + half, 69) + 1)
             columns = np.arange(max(column - half, 0), min(column + half, 82) + 1)

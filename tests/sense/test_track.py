@@ -220,9 +220,6 @@ def test_centroids_that_follow_their_cells_state_how_much_of_a_small_motion_they
     assert lacking > 0.04
     assert found.gain_error == pytest.approx(lacking, rel=0.6)
     assert track(picture(0.0, 1), picture(0.3, 2), LAYOUT).gain_error == 0
-    aside = {name: place + np.array([10.0, -10.0]) for name, place in LAYOUT.items()}  # rest cells arrive all the same
-    apart = track(picture(0.0, 1), picture(0.3, 2), aside, method="two-pass").shift_px - found.shift_px
-    np.testing.assert_allclose(np.nanmean(apart, axis=0), 0.0, atol=0.01)
 
 
 @pytest.mark.parametrize("kind", ["bump", "radial", "uniform"])

@@ -1,6 +1,5 @@
 """The flat paper's centroid (Kamiyama et al., sections 2.1 and 2.2): of the signal in a mesh cell
-around the nominal, then the rest position, taken a second time with the cell centred on the first;
-at rest more often, until the cell stands still.
+around the nominal, then the rest position, taken a second time with the cell centred on the first.
 
 It is the baseline. A marker must stay in its cell; ground and shading pull the centroid. So motion
 that is too small to move the cell by a pixel is measured too small. By how much is found by moving
@@ -22,11 +21,7 @@ from twin.compiled import njit
 from twin.sense.centre import MISSING, CentreEstimator, Look, Seen
 from twin.sense.match import Neighbourhood
 
-PASSES, AT_REST = 2, 8
-"""Passes in a picture, from the rest position, and at rest, from the nominal one. After two a cell
-that began 11 px away has not arrived: what later pictures start from is then .13 to .19 px off, all
-markers the same way."""
-
+PASSES = 2
 SD_PX = 0.07
 """What the centroid is good for with a pitch-wide cell, px (no estimate of its own exists)."""
 
@@ -40,7 +35,7 @@ class PaperCentroid(CentreEstimator):
     ) -> Sequence[PaperCentroid]:
         groups = []
         for look in looks:
-            rest_px = cls._centroids(picture, look, look.nominal_px, spacing_px, passes=AT_REST)
+            rest_px = cls._centroids(picture, look, look.nominal_px, spacing_px)
             nothing = np.full(len(rest_px), np.nan)
             around = Neighbourhood.of(rest_px, spacing_px)
             followed: list[float] = []
