@@ -45,9 +45,20 @@ def table(rows: Sequence[Row]) -> str:
     if not rows:
         return "(no rows)"
     columns = list(dict.fromkeys(key for row in rows for key in row))
-    lines = [columns, ["---"] * len(columns)]
+    lines = [[_heading(column) for column in columns], ["---"] * len(columns)]
     lines += [[_cell(row.get(column, "")) for column in columns] for row in rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+UNITS = {"s": "s", "ms": "ms", "px": "px", "mm": "mm", "n": "N", "kb": "kB", "gib": "GiB"}
+
+
+def _heading(column: str) -> str:
+    """Return a column's name as words, its unit last."""
+    words = column.replace("cpu_", "CPU_").split("_")
+    if len(words) == 1 or words[-1] not in UNITS or "per" in words:
+        return " ".join(words)
+    return f"{' '.join(words[:-1])}, {UNITS[words[-1]]}"
 
 
 def _cell(value: object) -> str:
