@@ -343,12 +343,12 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
             f"{int(moved.sum())} markers moved against the others, by up to {alone.max():.2g} px: "
             "did something touch the sensor in one of the pictures?"
         )
-    better = ""
+    answer = "no: " + "; ".join(problems) if problems else "yes"
     if coherence > COHERENT and seen.mean() >= FEW:  # else markers may be taken for others
-        better = (
-            f"without compression or a colour mosaic errors would be {coherence:.2g} times smaller"
+        answer += (
+            f"; without compression or a colour mosaic errors would be {coherence:.2g} times "
+            "smaller"
         )
-    answer = "; ".join(filter(None, ["no: " + "; ".join(problems) if problems else "yes", better]))
     size = {"seen": int(seen.sum()), "markers": len(seen), "width_px": width}
     light = {"noise_counts": noise, "saturated_pct": 100 * full}
     shift = {"measured_px": measured, "stated_px": stated}

@@ -412,8 +412,10 @@ class _Filming:
         """Make a video of the pictures, which go."""
         from twin.study.frames import VideoWriter, read_picture
 
-        height, width = self.sensor.rest_pictures[-1].shape[:2]
-        with VideoWriter(self.video, (width, height), self.rate) as video:
+        camera = self.scene.camera
+        assert camera is not None
+        size_px = (camera.width_px, camera.height_px)
+        with VideoWriter(self.video, size_px, self.rate) as video:
             for number in range(self.count):
                 video.add(read_picture(self._frame(number)))
         shutil.rmtree(self.pictures)
