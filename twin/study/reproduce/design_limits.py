@@ -104,6 +104,7 @@ FRAME_S, CALCULATED_US = 0.08, 545.0
 
 WIDTH = "full width at half maximum of a narrow force"
 LEAST = "least distance of two narrow forces"
+LEAST_GF = "smallest difference of force"
 NOISE = "noise of a shift"
 """Names of what is measured of every design."""
 
@@ -501,6 +502,71 @@ class _Hardware:
     width_mm: float | None
     rate_hz: float
 
+    @property
+    def industrial(self) -> Chain:
+        """This project's software behind an industrial camera."""
+        return replace(self.ours, overrides={**self.ours.overrides, **INDUSTRIAL})
+
+    def press(self, rig: Rig) -> Press:
+        """Return the first of the contacts."""
+        return next(iter(self.presses.values()))(rig)
+
+    def tracking(self, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
+        """Measure the deviation of a shift, mean over layers and axes; neither sites nor inverse
+        matter."""
+        camera = INDUSTRIAL if chain == self.industrial else {}
+        chain = replace(chain, overrides=camera)
+        found = self.shift.tracked(bench, "re-rendered", chain, trial)
+        spreads = [Protocol.samples(found, layer).std(axis=0, ddof=1) for layer in ("red", "blue")]
+        printed = float(np.mean([sd for _, sd in self.shift.paper.values()]))
+        name = "standard deviation of a shift, re-rendered"
+        return {Quantity(name, "px", paper=printed, ours=True): float(np.mean(spreads))}
+
+    def fields(self, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
+        """Measure the errors of the fields of all contacts."""
+        rig = chain.rig(bench, trial)
+        shots = {
+            where: chain.shot(bench, press(rig), trial, 90) for where, press in self.presses.items()
+        }
+        return {
+            Quantity(f"field error {where}, on each one's sites", ours=True): shot.score(
+                "field_error"
+            )
+            for where, shot in shots.items()
+        }
+
+    def widths(self, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
+        """Measure the width of a narrow force, and the least distance of two."""
+        width = Quantity(WIDTH, "mm", paper=self.width_mm, ours=True)
+        return {
+            width: _point_width_mm(bench, chain, trial),
+            Quantity(LEAST, "mm", ours=True): _two_points_mm(bench, chain, trial),
+        }
+
+    def reading(self, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
+        """Measure the smallest difference of force between two readings of one press."""
+        name = f"{LEAST_GF} two readings of one press resolve at 95 %"
+        resolution = _resolution_gf(bench, self.press(chain.rig(bench, trial)), chain, trial)
+        return {Quantity(name, "gf", ours=True): resolution}
+
+    def line(self, axis: int, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
+        """Measure Fig. 8's resolution along an axis, of two repeats."""
+        first = FIRST_EXPOSURE + 5000 + trial.exposures
+        found = ForceLine.of(bench, chain, axis, 10, 2, first)
+        name = f"{LEAST_GF} two readings resolve at 95 %"
+        return {Quantity(name, "gf", paper=READ_GF, ours=True): found.resolution_gf}
+
+    def rate(self, bench: Bench, chain: Chain, _: Trial) -> Numbers:
+        """Measure the median frames a second from a frame to its force field, on one thread."""
+        rig = chain.rig(bench)
+        picture = rig.picture(rig.motion(rig.press(self.press(rig)).load), 90)
+        found = rig.track(picture, chain.tracker)
+        weight = reconstruct(found, rig.calibration, method=chain.method).weight
+        given = replace(chain, options={**chain.options, "weight": weight})
+        seconds = _frame_seconds(rig, [picture], RATED, given, BEFORE * found.shift_px)
+        name = "frames a second, from the frame to the force field"
+        return {Quantity(name, "Hz", paper=self.rate_hz, timed=True): _rate_of(seconds)}
+
 
 HARDWARE = (
     _Hardware(
@@ -546,109 +612,45 @@ def _resolution_gf(bench: Bench, press: Press, chain: Chain, trial: Trial) -> fl
     return float(RESOLVED * pushes.std(ddof=1) / abs(slope) / GF)
 
 
-def _rate_hz(bench: Bench, press: Callable[[Rig], Press], chain: Chain) -> float:
-    """Return the median frames a second from a frame to its force field, on one thread."""
-    rig = chain.rig(bench)
-    picture = rig.picture(rig.motion(rig.press(press(rig)).load), 90)
-    found = rig.track(picture, chain.tracker)
-    weight = reconstruct(found, rig.calibration, method=chain.method).weight
-    given = replace(chain, options={**chain.options, "weight": weight})
-    seconds = _frame_seconds(rig, [picture], RATED, given, BEFORE * found.shift_px)
-    return _rate_of(seconds)
-
-
 def _same_hardware(bench: Bench, hardware: _Hardware) -> Entry.Outcome:
     """Compare `local` with the paper's software, the default inverse, and an industrial camera."""
-    ours, shift = hardware.ours, hardware.shift
+    ours = hardware.ours
     paper = ours.paper
-    press = next(iter(hardware.presses.values()))
-    industrial = replace(ours, overrides={**ours.overrides, **INDUSTRIAL})
-    others = {
-        PAPERS: hardware.own,
-        DEFAULT: replace(ours, method="smooth"),
-        CAMERA: industrial,
-    }
-    same_camera = {PAPERS: hardware.own, DEFAULT: others[DEFAULT]}
-    trackers = {PAPERS: hardware.own, CAMERA: industrial}
-    made = bench.trials(paper, pressed=False, count=FEWER)
+    own = {PAPERS: hardware.own}
+    default = {DEFAULT: replace(ours, method="smooth")}
+    industrial = {CAMERA: hardware.industrial}
     trials = bench.trials(paper, count=FEWER)
     records: list[Record] = []
 
     def compare(
-        measure: Callable[[Chain, Trial], Numbers],
-        causes: Mapping[str, Chain] = others,
+        measure: Callable[[Bench, Chain, Trial], Numbers],
+        causes: Mapping[str, Chain],
         trials: Sequence[Trial] = trials,
         label: str = paper,
     ) -> None:
-        nonlocal records
-        records += bench.compare(measure, dict, ours, causes, trials, label=label)[0]
+        found, _, _ = bench.compare(
+            partial(measure, bench), dict, ours, causes, trials, label=label
+        )
+        records.extend(found)
 
     bench.progress(f"{paper}, tracking", 0.05)
-    printed = float(np.mean([sd for _, sd in shift.paper.values()]))
-
-    def tracked(chain: Chain, trial: Trial) -> Numbers:
-        """Return the deviation, mean over layers and axes; neither sites nor inverse matter."""
-        camera = INDUSTRIAL if chain == industrial else {}
-        found = shift.tracked(bench, "re-rendered", replace(chain, overrides=camera), trial)
-        spreads = [Protocol.samples(found, layer).std(axis=0, ddof=1) for layer in ("red", "blue")]
-        name = "standard deviation of a shift, re-rendered"
-        return {Quantity(name, "px", paper=printed, ours=True): float(np.mean(spreads))}
-
-    compare(tracked, trackers, made)
-
+    unpressed = bench.trials(paper, pressed=False, count=FEWER)
+    compare(hardware.tracking, own | industrial, unpressed)
     bench.progress(f"{paper}, fields", 0.2)
-
-    def fields(chain: Chain, trial: Trial) -> Numbers:
-        rig = chain.rig(bench, trial)
-        return {
-            Quantity(f"field error {where}, on each one's sites", ours=True): chain.shot(
-                bench, press_on(rig), trial, 90
-            ).score("field_error")
-            for where, press_on in hardware.presses.items()
-        }
-
-    compare(fields, others | {"pushes only": replace(ours, options={"push_only": True})})
-
-    def widths(chain: Chain, trial: Trial) -> Numbers:
-        return {
-            Quantity(WIDTH, "mm", paper=hardware.width_mm, ours=True): _point_width_mm(
-                bench, chain, trial
-            ),
-            Quantity(LEAST, "mm", ours=True): _two_points_mm(bench, chain, trial),
-        }
-
+    pushes = {"pushes only": replace(ours, options={"push_only": True})}
+    compare(hardware.fields, own | default | industrial | pushes)
+    compare(hardware.widths, own | default | industrial)
     limit = _limit_of(ours.rig(bench), _shift_noise_px(bench, ours))
-    compare(widths)
     records += Record.of_runs([_limit_numbers(limit)], label=paper)
 
     bench.progress(f"{paper}, magnitude", 0.6)
-    least = "smallest difference of force"
-
-    def reading(chain: Chain, trial: Trial) -> Numbers:
-        name = f"{least} two readings of one press resolve at 95 %"
-        resolution = _resolution_gf(bench, press(chain.rig(bench, trial)), chain, trial)
-        return {Quantity(name, "gf", ours=True): resolution}
-
-    def line(axis: int, chain: Chain, trial: Trial) -> Numbers:
-        """Return Fig. 8's resolution along an axis, of two repeats."""
-        first = FIRST_EXPOSURE + 5000 + trial.exposures
-        found = ForceLine.of(bench, chain, axis, 10, 2, first)
-        name = f"{least} two readings resolve at 95 %"
-        return {Quantity(name, "gf", paper=READ_GF, ours=True): found.resolution_gf}
-
     if paper == "kamiyama":
-        compare(reading, label="kamiyama, z")
+        compare(hardware.reading, own | default | industrial, label="kamiyama, z")
     elif not bench.quick:
         for axis in range(3):
-            compare(partial(line, axis), same_camera, label=f"sato, {'xyz'[axis]}")
-
-    rate = Quantity(
-        "frames a second, from the frame to the force field",
-        "Hz",
-        paper=hardware.rate_hz,
-        timed=True,
-    )
-    compare(lambda chain, _: {rate: _rate_hz(bench, press, chain)}, same_camera, (ONCE,))
+            line = partial(hardware.line, axis)
+            compare(line, own | default, label=f"sato, {'xyz'[axis]}")
+    compare(hardware.rate, own | default, (ONCE,))
     records[-1] = replace(records[-1], n=RATED)
     return Entry.Outcome(records=records)
 

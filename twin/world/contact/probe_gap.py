@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -516,60 +516,37 @@ class Approach:
         axes = np.eye(3) if axes is None else axes
         at = np.zeros(3)
         at[: len(at_mm)] = at_mm
-        turned = None if turn is None else Approach.rotation_of(turn)
-        a, b = half_extent(probe, tilt_deg)
-        lever_arm = math.hypot(a, b)
-        upright = (
-            not isinstance(probe, Stl | Object)
-            and not any(tilt_deg)
-            and (turned is None or turned[2, 2] == 1.0)
-        )
-        if (
-            upright
-            and axes[2, 2] == 1.0
-            and body.is_level_around(float(at[0]), float(at[1]), lever_arm)
-        ):
-            at[2] = 0.0
-            return Approach(
-                probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg, level=True
-            )
-        turned = np.eye(3) if turned is None else turned
+        turned = np.eye(3) if turn is None else Approach.rotation_of(turn)
+        half = np.array(half_extent(probe, tilt_deg))
+        lever_arm = float(math.hypot(*half))
         shape = _shape_of(probe, tilt_deg)
-        if (
-            isinstance(shape, _Triangles)
-            and axes[2, 2] == 1.0
-            and body.is_level_around(float(at[0]), float(at[1]), shape.reach_mm)
-        ):
+        brought = partial(Approach, probe=probe, axes=axes, tilt_deg=tilt_deg)
+
+        # On a level surface along z the height of touch is known.
+        upright = not isinstance(probe, Stl | Object) and not any(tilt_deg) and turned[2, 2] == 1.0
+        along_z = axes[2, 2] == 1.0
+        x, y = at[:2].tolist()
+        if upright and along_z and body.is_level_around(x, y, lever_arm):
+            at[2] = 0.0
+            return brought(axis_mm=at, touch_mm=at, level=True)
+        if isinstance(shape, _Triangles) and along_z and body.is_level_around(x, y, shape.reach_mm):
             at[2] = -float((shape.corners @ turned[2]).max())
-            return Approach(probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg)
+            return brought(axis_mm=at, touch_mm=at)
+
+        # Else it is searched for.
         meets = _surface_intersection(body, axes[2])
-        half = np.full(2, lever_arm) if isinstance(probe, Pillar) else np.array((a, b))
-        centre = np.zeros(2)
-        height = np.inf
-        touch = np.full(2, np.nan)
-        on_sensing = True
-        along = np.broadcast_to(turned[2], (_ACROSS**2, 3))
-        for _ in range(_LEVELS):
-            offset = centre + _STEPS * half
-            surface, sensing = meets(at + offset @ axes[:2])
-            if upright and sensing.all() and np.all(surface == surface[0]):
-                height = float(surface[0])
-                touch = np.zeros(2)
-                break
-            rise = shape.met(np.column_stack([offset, np.zeros(len(offset))]) @ turned, along)[0]
-            height_here = surface + np.where(np.isfinite(rise), rise, np.nan)
-            height_here = np.where(np.isfinite(height_here), height_here, np.inf)
-            lowest = float(height_here.min())
-            if not math.isfinite(lowest):
-                break
-            ties = height_here <= lowest + (1e-12 if axes[2, 2] == 1.0 else 1e-10)
-            middle = offset[ties].mean(axis=0)
-            if lowest < height:
-                height = lowest
-                touch = middle
-                on_sensing = bool(sensing[ties].any())
-            centre = touch
-            half = half / 3
+        if isinstance(probe, Pillar):
+            half = np.full(2, lever_arm)
+        height, touch, on_sensing = _first_touch(
+            lambda offset: meets(at + offset @ axes[:2]),
+            lambda offset: shape.met(
+                np.column_stack([offset, np.zeros(len(offset))]) @ turned,
+                np.broadcast_to(turned[2], (len(offset), 3)),
+            )[0],
+            half,
+            1e-12 if along_z else 1e-10,
+            upright=upright,
+        )
         name = f"the {probe.kind} at ({', '.join(f'{c:g}' for c in at_mm)}) mm"
         if not math.isfinite(height):
             (x0, y0, _), (x1, y1, _) = body.bounds_mm
@@ -585,9 +562,7 @@ class Approach:
                 f"({', '.join(f'{c:.3g}' for c in np.nan_to_num(point))}) mm: move at_mm, or "
                 "change direction or tilt_deg"
             )
-        return Approach(
-            probe=probe, axis_mm=at + height * axes[2], touch_mm=point, axes=axes, tilt_deg=tilt_deg
-        )
+        return brought(axis_mm=at + height * axes[2], touch_mm=point)
 
     def with_edge(self, edge_mm: float) -> Approach:
         """Return a probe at first touch whose face has a rim of another radius."""
@@ -686,6 +661,52 @@ _LEVELS = 14
 _ACROSS = 25
 _STEPS = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, _ACROSS)]), axis=-1).reshape(-1, 2)
 _ON_SURFACE_MM = 1e-3
+
+
+def _first_touch(
+    meets: Callable[[Floats], tuple[Floats, Bools]],
+    rises: Callable[[Floats], Floats],
+    half: Floats,
+    equal: float,
+    *,
+    upright: bool,
+) -> tuple[float, Floats, bool]:
+    """Return where a probe first touches: the height, infinite where it misses, the place (2,)
+    across its way, and whether that is on the sensing surface.
+
+    Parameters
+    ----------
+    meets, rises
+        Take places (k, 2) across the way to the height of the surface there and whether it is a
+        sensing one, and to how far the probe's own surface lies behind its tip.
+    half
+        (2,) the half sides of the grid to begin with.
+    equal
+        Heights that differ by no more are ties.
+    """
+    height = np.inf
+    centre = np.zeros(2)
+    touch = np.full(2, np.nan)
+    on_sensing = True
+    for _ in range(_LEVELS):
+        offset = centre + _STEPS * half
+        surface, sensing = meets(offset)
+        if upright and sensing.all() and np.all(surface == surface[0]):
+            return float(surface[0]), np.zeros(2), on_sensing
+        here = surface + rises(offset)
+        here = np.where(np.isfinite(here), here, np.inf)
+        lowest = float(here.min())
+        if not math.isfinite(lowest):
+            break
+        ties = here <= lowest + equal
+        if lowest < height:
+            height = lowest
+            touch = offset[ties].mean(axis=0)
+            on_sensing = bool(sensing[ties].any())
+        # The next grid is finer, around the lowest place so far.
+        centre = touch
+        half = half / 3
+    return height, touch, on_sensing
 
 
 def _surface_intersection(

@@ -275,63 +275,108 @@ def build_mesh(
     _refuse_sharp(body)
     allowed_s = LIMIT_S * max(1.0, sizing.unknowns / LIMIT_UNKNOWNS)
     end_s = _spent_s() + allowed_s
-    finest_mm = min(sizing.fine_mm, sizing.rim_mm)
-    surface = outer_surface(body, finest_mm)
-    wanted = WantedEdge(body, sizing)
-    ridge_deg = _ridge_deg(body)
-    start: tuple[Points, Ints] | None = None
-    spare: list[tuple[Mesh, Quality]] = []
-    failures: list[str] = []
-    tried: list[tuple[float, float]] = []
-    scale, aim = 1.0, float(sizing.unknowns)
-    for attempt in range(MOST_TRIES):
+    tries = _Tries(body, sizing)
+    for number in range(MOST_TRIES):
         left_s = end_s - _spent_s()
-        if failures and left_s < 1.0:
+        if tries.failures and left_s < 1.0:
             break
+        found = tries.next(number, max(left_s, 1.0), progress)
+        if found is not None:
+            return found
+    if tries.spare:  # sound, but of another size than wanted
+        return min(tries.spare, key=lambda pair: abs(math.log(pair[1].unknowns / sizing.unknowns)))
+    raise MeshError(
+        f"none of {len(tries.failures)} meshes of the {_body_name(body)} passed the gates within "
+        f"{allowed_s:.0f} s of processor time, the last one: {tries.failures[-1]}; the place to "
+        f"look at is ({tries.place}) mm: take out what is thin, narrow or pointed there (walls, "
+        "slits, steps, needles much smaller than the body), or draw it larger"
+    )
+
+
+class _Tries:
+    """Meshes of one body at one scale of all lengths after another.
+
+    Attributes
+    ----------
+    failures
+        What each try lacked so far.
+    place
+        Where to look after the last one, mm.
+    spare
+        Sound meshes of another size than wanted.
+    """
+
+    def __init__(self, body: Body, sizing: Sizing) -> None:
+        self.failures: list[str] = []
+        self.place = ""
+        self.spare: list[tuple[Mesh, Quality]] = []
+        self._body = body
+        self._sizing = sizing
+        self._finest_mm = min(sizing.fine_mm, sizing.rim_mm)
+        self._surface = outer_surface(body, self._finest_mm)
+        self._wanted = WantedEdge(body, sizing)
+        self._ridge_deg = _ridge_deg(body)
+        self._start: tuple[Points, Ints] | None = None
+        self._scale = 1.0
+        self._aim = float(sizing.unknowns)
+        self._sizes: list[tuple[float, float]] = []
+
+    def next(
+        self, number: int, left_s: float, progress: Progress | None
+    ) -> tuple[Mesh, Quality] | None:
+        """Return the mesh of try ``number`` if it is sound and of the wanted size; else keep what
+        it lacks, and set the scale of the next one."""
         try:
-            if start is None or attempt % SAME_START == 0:
-                start = _start(body, sizing, surface, max(left_s, 1.0), attempt)
-            edge_mm = scale * wanted(start[0])
-            within_mm = _ENVELOPE * scale * finest_mm
-            mesh = snapped_mesh(body, *remeshed(*start, edge_mm, within_mm, ridge_deg))
+            mesh = self._made(number, left_s)
         except MeshError as problem:
-            failures.append(str(problem))
-            place = _narrowest(*surface)
-            continue
-        measured = Quality.of(mesh, body)
-        ratio = measured.unknowns / aim
-        faults = measured.failures()
-        if not faults and 1 / SPARE <= measured.unknowns / sizing.unknowns <= SPARE:
-            spare.append((mesh, measured))
-        if not _FEWEST <= ratio <= _MOST:
-            faults = [f"{measured.unknowns} unknowns (wanted: {aim:.0f})", *faults]
-            tried.append((scale, ratio))
-            scale = _next_scale(tried)
-        elif faults:
-            aim *= FINER
-            scale *= FINER ** (-1 / _POWER)
-            tried.clear()
+            self.failures.append(str(problem))
+            self.place = _narrowest(*self._surface)
+            return None
+        measured = Quality.of(mesh, self._body)
+        ratio = measured.unknowns / self._aim
+        faults = self._faults(mesh, measured, ratio)
         if progress:
             verdict = (
                 "; ".join(faults) or f"good, smallest angle {measured.least_dihedral_deg:.1f} deg"
             )
             progress(
-                f"mesh of the {_body_name(body)}, try {attempt + 1}: {measured.unknowns} unknowns, "
-                f"{verdict}",
+                f"mesh of the {_body_name(self._body)}, try {number + 1}: {measured.unknowns} "
+                f"unknowns, {verdict}",
                 0.0 if faults else 1.0,
             )
         if not faults:
             return mesh, measured
-        failures.append("; ".join(faults))
-        place = coordinates(_worst_place(mesh, crowded=ratio > _MOST))
-    if spare:  # sound, but of another size than wanted
-        return min(spare, key=lambda pair: abs(math.log(pair[1].unknowns / sizing.unknowns)))
-    raise MeshError(
-        f"none of {len(failures)} meshes of the {_body_name(body)} passed the gates within "
-        f"{allowed_s:.0f} s of processor time, the last one: {failures[-1]}; the place to look "
-        f"at is ({place}) mm: take out what is thin, narrow or pointed there (walls, slits, "
-        "steps, needles much smaller than the body), or draw it larger"
-    )
+        self.failures.append("; ".join(faults))
+        self.place = coordinates(_worst_place(mesh, crowded=ratio > _MOST))
+        return None
+
+    def _made(self, number: int, left_s: float) -> Mesh:
+        """Return the mesher's mesh, remade in the wanted sizes and snapped to the surface."""
+        # The mesher is slow: several tries begin with one mesh of its own.
+        if self._start is None or number % SAME_START == 0:
+            self._start = _start(self._body, self._sizing, self._surface, left_s, number)
+        edge_mm = self._scale * self._wanted(self._start[0])
+        within_mm = _ENVELOPE * self._scale * self._finest_mm
+        return snapped_mesh(
+            self._body, *remeshed(*self._start, edge_mm, within_mm, self._ridge_deg)
+        )
+
+    def _faults(self, mesh: Mesh, measured: Quality, ratio: float) -> list[str]:
+        """Return what a mesh of ``ratio`` times the unknowns aimed at lacks; set the next scale."""
+        faults = measured.failures()
+        if not faults and 1 / SPARE <= measured.unknowns / self._sizing.unknowns <= SPARE:
+            self.spare.append((mesh, measured))
+        if not _FEWEST <= ratio <= _MOST:
+            # Of another size: the next scale follows from the sizes found so far.
+            faults = [f"{measured.unknowns} unknowns (wanted: {self._aim:.0f})", *faults]
+            self._sizes.append((self._scale, ratio))
+            self._scale = _next_scale(self._sizes)
+        elif faults:
+            # Of the right size, but not sound: a little finer.
+            self._aim *= FINER
+            self._scale *= FINER ** (-1 / _POWER)
+            self._sizes.clear()
+        return faults
 
 
 def _worst_place(mesh: Mesh, *, crowded: bool) -> Points:
