@@ -462,54 +462,68 @@ class Scene(Part):
     @model_validator(mode="after")
     def _fits_together(self) -> Scene:
         if self.camera is not None:
-            front = self.body.base_z_mm + self.camera.window_mm
-            if self.camera.pupil_mm[2] < front:
-                raise ValueError(
-                    f"camera.pupil_mm: z = {self.camera.pupil_mm[2]} mm must lie behind the base "
-                    f"and the layers (z >= {front} mm)"
-                )
-            if not self.body.has_window:
-                raise ValueError(
-                    f"camera: it looks through a held face at z = {self.body.base_z_mm:.6g} mm, "
-                    "the body's largest z, but no triangle of body.held lies there: turn the body "
-                    "so that its held face is at large z, or leave [camera] out"
-                )
-            if self.light is None:
-                raise ValueError(
-                    "light: a scene with a camera needs a [light] table, or the picture is black"
-                )
-            if not self.markers:
-                raise ValueError(
-                    "markers: a scene with a camera needs at least one [markers.<layer>] table"
-                )
-        unseen = {
-            "light.outside": self.light is not None and any(self.light.outside),
-            "press.albedo": self.press is not None
-            and any(one.albedo is not None for one in (self.press, *self.press.also)),
-        }
-        if self.cover is not None and self.cover.transmittance == 0 and any(unseen.values()):
-            keys = ", ".join(key for key, given in unseen.items() if given)
-            raise ValueError(
-                f"{keys}: the cover hides it; set cover.transmittance above 0, or leave [cover] out"
-            )
+            self._can_be_seen(self.camera)
+        self._is_hidden_by_cover()
         self._can_be_made_thinner()
         shortfall = CUT * self.tolerance.poisson_ratio if self.tolerance.preset != "none" else 0.0
         if problems := MarkerLayer.stiff_problems(
             self.body, self.markers, self.material, self.cover, shortfall
         ):
             raise ValueError("; ".join(problems))
-        if self.reconstruction is not None and self.camera is None:
+        if self.reconstruction is not None:
+            self._can_be_reconstructed(self.reconstruction)
+        return self
+
+    def _can_be_seen(self, camera: Camera) -> None:
+        """Refuse a camera within the body or its window, or one that has nothing to see."""
+        front = self.body.base_z_mm + camera.window_mm
+        if camera.pupil_mm[2] < front:
+            raise ValueError(
+                f"camera.pupil_mm: z = {camera.pupil_mm[2]} mm must lie behind the base "
+                f"and the layers (z >= {front} mm)"
+            )
+        if not self.body.has_window:
+            raise ValueError(
+                f"camera: it looks through a held face at z = {self.body.base_z_mm:.6g} mm, "
+                "the body's largest z, but no triangle of body.held lies there: turn the body "
+                "so that its held face is at large z, or leave [camera] out"
+            )
+        if self.light is None:
+            raise ValueError(
+                "light: a scene with a camera needs a [light] table, or the picture is black"
+            )
+        if not self.markers:
+            raise ValueError(
+                "markers: a scene with a camera needs at least one [markers.<layer>] table"
+            )
+
+    def _is_hidden_by_cover(self) -> None:
+        """Refuse what lies behind a cover that lets no light through."""
+        if self.cover is None or self.cover.transmittance > 0:
+            return
+        presses = () if self.press is None else (self.press, *self.press.also)
+        behind = {
+            "light.outside": self.light is not None and any(self.light.outside),
+            "press.albedo": any(one.albedo is not None for one in presses),
+        }
+        if any(behind.values()):
+            keys = ", ".join(key for key, given in behind.items() if given)
+            raise ValueError(
+                f"{keys}: the cover hides it; set cover.transmittance above 0, or leave [cover] out"
+            )
+
+    def _can_be_reconstructed(self, inverse: Reconstruction) -> None:
+        """Refuse forces without pictures, and a time scale for rubber that has none."""
+        if self.camera is None:
             raise ValueError(
                 "reconstruction: forces are reconstructed from pictures, add a [camera] table"
             )
-        if self.reconstruction is not None and not self.material.relaxation:
-            rate = self.reconstruction.frames_per_second
-            if rate is not None:
-                raise ValueError(
-                    f"reconstruction.frames_per_second = {rate:g}: this rubber doesn't relax; add "
-                    "[[material.relaxation]], or leave it out"
-                )
-        return self
+        rate = inverse.frames_per_second
+        if rate is not None and not self.material.relaxation:
+            raise ValueError(
+                f"reconstruction.frames_per_second = {rate:g}: this rubber doesn't relax; add "
+                "[[material.relaxation]], or leave it out"
+            )
 
     def _can_be_made_thinner(self) -> None:
         """Refuse a tolerance of thickness that the body hasn't, or that cuts into its markers."""
