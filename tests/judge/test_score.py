@@ -8,8 +8,7 @@ import pytest
 
 from benchmarks.inverse import widths
 from twin.errors import InputError
-from twin.judge.resolution import dip, full_width, two_point_distance
-from twin.judge.score import force_score, into_cells, score, tracking_score
+from twin.judge.score import dip, force_score, full_width, into_cells, score, tracking_score, two_point_distance
 from twin.parts.load import Rectangles
 
 

@@ -8,10 +8,7 @@ rest picture (`twin.sense.rest_templates`), and centre, level, ground and scale 
 A picture is measured in three steps. `DiscFit._fit` fits all markers; one that no longer looks as
 at rest is fitted with an outline and blur of its own, or by the part of it that is in sight; a
 layer with rough outlines by its markers' own pictures (`twin.sense.shape_fit`). `_judge` refuses
-fits that don't look like the marker. `DiscFit._judged` states the standard deviations: that of the
-noise, also where it hangs together over pixels, and what the edge, the slope of brightness and the
-size add that the model lacks. Where the slope has changed, as under a moving shadow, it also
-corrects the centre.
+fits that don't look like the marker. `twin.sense.shift_error` states the standard deviations.
 
 After a first picture fits start where the last ones ended; where too many of them fail the whole
 picture is searched.
@@ -28,11 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels, for_kernel
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, for_kernel, medians, quantiles
 from twin.compiled import njit
 from twin.sense.centre import (
     AREA_RATIO,
-    COHERENT,
     DIM,
     LEVEL_RATIO,
     MERGED,
@@ -44,16 +40,23 @@ from twin.sense.centre import (
     Look,
     Seen,
 )
-from twin.sense.match import GATE, TRUST, Neighbourhood
+from twin.sense.match import GATE, LEAST_SCORES, TRUST, Neighbourhood
 from twin.sense.rest_templates import (
     USUAL,
     BareGround,
     LayerSignal,
     in_other_light,
-    make_templates,
-    noise_now,
 )
-from twin.sense.shape_fit import NORMAL_MEDIAN, Expected, OwnPictures, fit_shapes, fit_visible
+from twin.sense.shape_fit import NORMAL_MEDIAN, Expected, OwnPictures, fit_shapes
+from twin.sense.shift_error import (
+    COVERED_SD_PX,
+    DIMS,
+    NORMAL,
+    ROUGHER,
+    SD_FLOOR_PX,
+    WHOLE_EDGE,
+    ShiftErrors,
+)
 from twin.sense.soft_window import SoftWindow
 from twin.sense.template import (
     CENTRE,
@@ -68,8 +71,6 @@ from twin.sense.template import (
     LEVEL,
     MARGIN_PX,
     MISFIT,
-    ONE_SIDED,
-    OUTLIER_SD,
     OWN_PICTURE,
     OWN_SHAPE,
     PART_IN_SIGHT,
@@ -82,12 +83,8 @@ from twin.sense.template import (
     SQUARES,
     STEP,
     THIRD,
-    TILTED,
     UNEVEN,
     UNUSUAL,
-    VAR_TILTED,
-    VAR_X,
-    VAR_Y,
     VARIANCE,
     Templates,
     slope_terms,
@@ -95,7 +92,7 @@ from twin.sense.template import (
 
 SMOOTHER = 0.88
 """Brightness, or both (`LayerSignal.brightness`), replaces a layer's colour where third harmonics
-of edges at rest (`_coherence`) are smaller by this factor."""
+of edges at rest (`roughness_px`) are smaller by this factor."""
 
 LEAST_EDGE = 0.5
 """Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
@@ -127,16 +124,9 @@ SHARPER = 0.7
 STRETCHED, BLURRED = 1.4, 2.5
 """Largest growth of a marker's semi-axis, and of the blur, that a shape of its own reaches to."""
 
-LONGER, MOST = 1.15, 0.9
-"""The longer axis of a strained marker over its mean radius; and the share of the markers whose
-growth is kept off the ground between them."""
-
 KNOWN_OUTLINE, KNOWN_LEVEL, OPEN_LEVEL = 0.005, 0.02, 0.2
 """Least standard deviations of a marker's outline and brightness about its neighbours', as shares
 of radius and brightness; and of the brightness of one that the frame cut at rest."""
-
-NORMAL = 0.7413
-"""A normal distribution's standard deviation, as a share of what lies between its quarters."""
 
 SHADOW_MOVES = 4.0
 """A marker is not partly hidden while its squared residuals exceed the usual ones by less than this
@@ -159,31 +149,11 @@ UNSETTLED_PX = 0.3
 SAME_PLACE = 0.5
 """Two markers of a layer nearer than this share of their width are one spot."""
 
-WHOLE_EDGE, COVERED_SD_PX = 0.9, 0.03
-"""A marker with less of its edge in sight may be shadowed too: its standard deviation has this
-added."""
-
 SHRUNK = 0.9
 """At the picture's frame a marker that has become smaller than this may be cut."""
 
 WORST_FITS = 0.98
 """A marker cut by the frame may fit as badly as this share of the whole ones."""
-
-DOUBT = 4.0
-"""A doubted marker's variance (`UNUSUAL`) grows by so much of the excess of its residuals."""
-
-CHANCE = 4.0
-"""Standard deviations up to which a fit moves by chance when one side of the edge is left out
-(`ONE_SIDED`): whole markers up to 3.4, with a tenth of the width hidden from 7.8 on."""
-
-EVEN, LEVEL_TILT = 2.8, 3.5
-"""Standard deviations up to which an edge's third harmonic, and the motion by a changed slope of
-brightness, change by chance (49 of 50, 456 of 457). What exceeds this is stated, and corrected."""
-
-SHRINKS, DIMS = 0.5, 1.5
-"""Standard deviations of a radius up to which a marker has become smaller by chance; and where
-noise hangs together over pixels. Of whole markers the first leaves 1.0 to 1.3 times their errors
-stated, of blurred ones that lack a hundredth .6 to 1.3 times."""
 
 LEAST_LIGHT = 3.0
 """Standard deviations by which a marker may have more light than it seems to."""
@@ -192,41 +162,9 @@ LOST_MOVES = 0.7
 """By which share of its radius a marker's centre moves at least, over the share of its light that
 something straight hides: of a disc's area by .86 to .9, of fits under JPEG by .65 to .9."""
 
-CONCAVE = 2.0
-"""Margin of the motion by a hidden part that a third harmonic allows, for concave edges."""
-
-SHADE_MOVES, SHADE_LEAVES = 0.4, 0.5
-"""A straight edge of shade moves a fitted centre by .37 to .49 of what fitting the slope of
-brightness, too, moves it back (least squares; radii 2.4 to 8 px, edges anywhere on the marker).
-This is corrected. As a share of the same, what is left of narrow shades is .15 to .5."""
-
 MORE_UNUSUAL = 1.12
 """Largest factor by which residuals are usual where most markers have changed their shape: larger
 outlines reach over more of the ground's texture."""
-
-ROUGHER = 1.6
-"""Squared residuals of most markers, over the usual ones, beyond which noise that the rest picture
-has not hangs together over pixels."""
-
-LACKING = 1.5
-"""Where a picture is compressed more, or less, than at rest: light, size and fit that together are
-worse than most markers' by more standard deviations (of whole markers one in five) may be due to a
-hidden part, which moves a marker by about as many of its own."""
-
-SINCE = 1.35
-"""Errors where a picture is compressed and the rest picture is not, over those that the third
-harmonics show, as outlines at rest are sharper. Measured: 1.1 to 1.8."""
-
-LEAST_COHERENCE, SURE = 0.8, 50
-"""How many times less than from single pixels' noise errors may be, and from how many markers'
-edges that is taken."""
-
-LEAST_SCORES = 4
-"""From so many numbers on a median is taken."""
-
-SD_FLOOR_PX = 0.001
-"""No centre is taken to be better than this: what a lens and a finite pixel leave even without
-noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -284,8 +222,8 @@ class DiscFit(SoftWindow):
     ) -> DiscFit:
         """Make the templates of one layer's ``spots``, and take the centres of their fits for the
         rest positions."""
-        templates, start = make_templates(
-            picture, signal, spots.spot_px, spots.cut, spots.look.diameter_px, marks
+        templates, start = signal.make_templates(
+            picture, spots.spot_px, spots.cut, spots.look.diameter_px, marks
         )
         around = Neighbourhood.of(start, spots.around.spacing_px)
         known = vars(spots) | {"around": around, "start_px": start}
@@ -299,7 +237,7 @@ class DiscFit(SoftWindow):
         # Rest positions, their standard deviations, and those of shifts to a picture alike.
         good = (fitted[:, EDGE] > LEAST_EDGE) & (fitted[:, LEVEL] >= spots.look.contrast_dn)
         good &= ~cut | (fitted[:, RESHAPED] == PART_IN_SIGHT)
-        sd = np.where(good, _centre_sds(fitted, templates.usual_misfit), np.nan)
+        sd = np.where(good, templates.centre_sds(fitted), np.nan)
         if cut.any() and (good & ~cut).any():
             # what whole outlines' third harmonics exceed the noise by is unknown of those cut
             square = np.nanmedian(templates.third[good & ~cut] ** 2) / NORMAL_MEDIAN
@@ -346,10 +284,10 @@ class DiscFit(SoftWindow):
         fitted = self._fit(picture, start_px, lead)
         if templates.coherent or np.count_nonzero(fitted[:, DOUBTED] > 0.0) < 2 * LEAST_SCORES:
             return self, fitted  # nearly always
-        if not _quantiles(fitted[:, MISFIT], 0.5)[0] > ROUGHER * templates.usual_misfit:
+        if not quantiles(fitted[:, MISFIT], 0.5)[0] > ROUGHER * templates.usual_misfit:
             return self, fitted
-        usual, rest = _quantiles(fitted[:, MISFIT], USUAL)[0], templates.rest.copy()
-        rest[:, FITTING] *= min(_quantiles(fitted[:, FITTING] / rest[:, FITTING], 0.5)[0], 1.0)
+        usual, rest = quantiles(fitted[:, MISFIT], USUAL)[0], templates.rest.copy()
+        rest[:, FITTING] *= min(quantiles(fitted[:, FITTING] / rest[:, FITTING], 0.5)[0], 1.0)
         now = replace(templates, coherent=True, usual_misfit=usual, rest=rest)
         suited = replace(self, templates=now, rougher=True)
         return suited, suited._fit(picture, start_px, lead)
@@ -382,7 +320,7 @@ class DiscFit(SoftWindow):
         # If most markers are unusual, the noise may have grown: then they are fitted again.
         places = for_kernel(fitted[:, CENTRE])
         if 2 * odd.sum() > np.isfinite(places[:, 0]).sum():
-            templates = replace(templates, noise=noise_now(picture, templates, places))
+            templates = replace(templates, noise=BareGround.noise_now(picture, templates, places))
             fitted = templates.fit(picture, places)
             odd, doubted = self._unusual(fitted, fitted[:, MISFIT], templates.usual_misfit)
         # Outlines as they are now: those at rest, grown, or a shape of their own.
@@ -397,7 +335,7 @@ class DiscFit(SoftWindow):
             )
         taken = fitted[:, RESHAPED] == OWN_SHAPE
         # What most markers of this picture lack of the model hides none of them.
-        now = max(_quantiles(misfit, USUAL)[0], templates.usual_misfit)
+        now = max(quantiles(misfit, USUAL)[0], templates.usual_misfit)
         templates = replace(templates, usual_misfit=now)
         doubted &= taken | cut | self._unusual(fitted, misfit, now)[1]
         if doubted.any():
@@ -495,11 +433,11 @@ class DiscFit(SoftWindow):
         odd |= (scale * templates.radius_px + templates.shape[:, 6] > templates.reach_px) & (
             fits < FITS
         )
-        low, middle, high = _quantiles(scale, 0.25, 0.5, 0.75)
+        low, middle, high = quantiles(scale, 0.25, 0.5, 0.75)
         least = middle - SMALLER * max(NORMAL * (high - low), LEAST_SPREAD)
-        doubted = odd | (fits < FITS * min(_quantiles(fits, 0.5)[0], 1.0)) | (scale < least)
+        doubted = odd | (fits < FITS * min(quantiles(fits, 0.5)[0], 1.0)) | (scale < least)
         if not templates.coherent:
-            square = _square(fitted[:, THIRD] - templates.third)
+            square = ((fitted[:, THIRD] - templates.third) ** 2).sum(axis=1)
             doubted |= square > 2.0 * UNEVEN**2 * (fitted[:, VARIANCE].sum(axis=1))
         other = fitted[:, RESHAPED] != OWN_PICTURE
         lacked = np.fmax(templates.rest[:, MISFIT] - RESHAPES * templates.usual_misfit, 0.0)
@@ -523,9 +461,9 @@ class DiscFit(SoftWindow):
         if not len(rows):
             return
         radius, start = templates.radius_px, fitted[rows, CENTRE]
-        part = fit_visible(picture, templates, rows, start, expected)
+        part = expected.fit_visible(picture, templates, rows, start)
         # A fit that leaves no more than the noise, finds something hidden, and is certain, is good.
-        worst = _quantiles(fitted[fine, MISFIT], WORST_FITS)[0] if fine.any() else 0.0
+        worst = quantiles(fitted[fine, MISFIT], WORST_FITS)[0] if fine.any() else 0.0
 
         def judged(part: Floats) -> tuple[Bools, Bools]:
             limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part[:, PIXELS], 1.0))
@@ -544,7 +482,7 @@ class DiscFit(SoftWindow):
             some = expected.only(failed)
             place = some.likeliest(picture, templates, rows[failed], start[failed])
             again = part.copy()
-            again[failed] = fit_visible(picture, templates, rows[failed], place, some)
+            again[failed] = some.fit_visible(picture, templates, rows[failed], place)
             found = judged(again)[1] & failed
             part[found] = again[found]
             hides, good = hides | found, good | found
@@ -586,7 +524,9 @@ class DiscFit(SoftWindow):
                 outline[:, 3] / templates.shape[:, 6],
             ]
         )
-        usual, spread = _of_neighbours(measured, fine, self.around, rows)
+        usual, spread = self.around.usual(measured, fine, rows)
+        unknown = np.isnan(usual[:, 0])
+        usual[unknown], spread[unknown] = [0.0, 0.0, 0.0, 1.0, 1.0], 0.0
         axes_sd = np.hypot(KNOWN_OUTLINE, spread[:, :3].max(axis=1))
         away = np.abs(measured[rows, :3] - usual[:, :3]).max(axis=1)
         beyond = np.sqrt(np.fmax(away**2 - (DIFFERS * axes_sd) ** 2, 0.0))
@@ -599,7 +539,7 @@ class DiscFit(SoftWindow):
         unknown = self.cut[rows]
         if unknown.any():
             whole = np.delete(templates.shape, np.flatnonzero(self.cut), axis=0)[:, :3]
-            apart = _medians(np.abs(whole - _medians(whole, 0)), 0).max()
+            apart = medians(np.abs(whole - medians(whole))).max()
             axes_sd = np.hypot(axes_sd, unknown * 1.4826 * apart / radius[rows])
         level = templates.level[rows] * usual[:, 3]
         return rows, Expected(
@@ -616,7 +556,7 @@ class DiscFit(SoftWindow):
         ``chance`` standard deviations: brightness times area, since rest."""
         rest = self.templates.rest
         light = fitted[:, LEVEL] * fitted[:, SCALE] ** 2 / (rest[:, LEVEL] * rest[:, SCALE] ** 2)
-        low, middle, high = _quantiles(np.where(fine, light, np.nan), 0.25, 0.5, 0.75)
+        low, middle, high = quantiles(np.where(fine, light, np.nan), 0.25, 0.5, 0.75)
         return np.asarray(np.fmax(1.0 - (light - chance * NORMAL * (high - low)) / middle, 0.0))
 
     def _from_last(self, picture: Picture, last_px: Pixels) -> Seen | None:
@@ -657,7 +597,7 @@ class DiscFit(SoftWindow):
 
     def _judged(self, picture: Picture, fitted: Floats, state: NDArray[np.uint8]) -> Seen:
         """Return the motion by the accepted fits, and the states of the others."""
-        templates, rest_sd = self.templates, self.sd_px
+        templates = self.templates
         if self.rougher:  # parts are measured by an edge that is blurred since
             part = fitted[:, RESHAPED] == PART_IN_SIGHT
             fitted[part, SHORTFALL], fitted[part, FITTING] = 1.0, 0.0
@@ -674,210 +614,20 @@ class DiscFit(SoftWindow):
             shift,
             state,
         )
-        sd = np.hypot(_centre_sds(fitted, templates.usual_misfit), rest_sd)
-        sd[np.isnan(shift[:, 0])] = np.nan
-        factor = 1.0
-        if templates.coherent or self.bare:
-            factor = _coherence(fitted, templates.third, state == SEEN, sd)
-        if self.bare:
-            longest = fitted[:, SCALE] * np.where(fitted[:, RESHAPED] == OWN_SHAPE, LONGER, 1.0)
-            growth = _quantiles(longest, MOST)[0]
-            factor = max(self.bare.coherence(picture, templates, shift, sd, growth), factor)
+        errors = ShiftErrors(
+            picture=picture,
+            templates=templates,
+            around=self.around,
+            rest_sd_px=self.sd_px,
+            bare=self.bare,
+            rougher=self.rougher,
+            fitted=fitted,
+            shift_px=shift,
+        )
+        correction, sd, coherence = errors.stated()
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
-        shaded = _shaded(fitted, templates, factor)
-        if factor > COHERENT and not self.rougher:  # else it is in `SINCE`
-            factor *= templates.smooths_third
-        more = self._unseen_cut(fitted, sd, factor) + 2.0 * SD_FLOOR_PX**2
-        if templates.coherent:
-            noisier = _quantiles(fitted[:, MISFIT], USUAL)[0] / templates.usual_misfit
-            if self.rougher or not 1.0 / ROUGHER < noisier < ROUGHER:
-                lacking = self._lacking(fitted) ** 2 - LACKING**2
-                more += np.fmax(lacking, 0.0) * (factor * sd) ** 2
-        shift += SHADE_MOVES * shaded
-        more += SHADE_LEAVES**2 * _square(shaded)
-        sd = np.sqrt(_edge_sds(fitted, templates, rest_sd, sd, factor) ** 2 + more)
-        since = SINCE if self.rougher else 1.0
-        return Seen(shift_px=shift, sd_px=since * sd, state=state, coherence=since * factor)
-
-    def _lacking(self, fitted: Floats) -> Floats:
-        """Return (n,) by how many standard deviations light, size and fit together are worse than
-        most markers'; 0 for parts in sight, at most `OUTLIER_SD` by each."""
-        scale = fitted[:, SCALE] / self.templates.rest[:, SCALE]
-        light = fitted[:, LEVEL] / self.templates.rest[:, LEVEL] * scale**2
-        worse = np.column_stack([-light, -scale, np.log(fitted[:, MISFIT]), fitted[:, SHORTFALL]])
-        worse[fitted[:, RESHAPED] == PART_IN_SIGHT] = np.nan
-        worse -= _medians(worse, 0)
-        spread = np.fmax(1.4826 * _medians(np.abs(worse), 0), 1e-9)
-        bounded = np.fmin(np.fmax(worse / spread, 0.0), OUTLIER_SD)
-        return np.asarray(np.sqrt((bounded**2).sum(axis=1)))
-
-    def _unseen_cut(self, fitted: Floats, sd: Floats, factor: float) -> Floats:
-        """Return (n,) the variance of shifts, per axis, px^2, of a cut that looks like less size.
-
-        What hides a narrow part on one side moves a fitted centre by twice as much as it makes the
-        mean radius smaller, as the first harmonic is twice the mean. Where blur hides that the edge
-        is uneven, nothing else shows. So a marker that has shrunk more than its neighbours, beyond
-        chance, may have moved less than measured. ``sd`` (n,) is the shifts' by the noise, without
-        its coherence ``factor``.
-        """
-        sd = factor * sd
-        rest = self.templates.rest
-        shrunk = fitted[:, SCALE] / rest[:, SCALE]
-        chance = SHRINKS
-        if factor > COHERENT:  # compression may dim a marker instead: what is lost is light
-            shrunk *= np.sqrt(fitted[:, LEVEL] / rest[:, LEVEL])
-            chance = DIMS
-        shrunk = self.templates.radius_px * (1.0 - shrunk)
-        shrunk[~np.isfinite(sd)] = np.nan
-        low, middle, high = _quantiles(shrunk, 0.25, 0.5, 0.75)
-        limit = np.fmax(NORMAL * (high - low), sd / np.sqrt(2.0))
-        away = shrunk - middle
-        if NORMAL * (high - low) > np.sqrt(2.0) * _quantiles(sd, 0.5)[0]:  # not by noise alone
-            rows = np.flatnonzero(away > chance * sd / np.sqrt(2.0))
-            usual, spread = _of_neighbours(away[:, None], np.isfinite(away), self.around, rows)
-            away[rows] -= usual[:, 0]
-            limit[rows] = np.fmax(spread[:, 0], sd[rows] / np.sqrt(2.0))
-        away[fitted[:, RESHAPED] == PART_IN_SIGHT] = 0.0
-        beyond = np.fmax(np.fmax(away, 0.0) ** 2 - (chance * limit) ** 2, 0.0)
-        most = _most_moved(fitted, self.templates, sd, np.sqrt(beyond))
-        return np.asarray(np.fmin(2.0 * beyond, most))
-
-
-def _quantiles(values: Floats, *shares: float) -> list[float]:
-    """Return which of the ``values`` (n,) these shares are below; NaN where all are."""
-    ranked = np.sort(values)  # NaN come last
-    last = max(int(np.isfinite(values).sum()) - 1, 0)
-    return [float(ranked[round(share * last)]) for share in shares]
-
-
-def _square(vectors: Floats) -> Floats:
-    """Return (n,) the squared lengths of vectors (n, 2)."""
-    return np.asarray(vectors[:, 0] ** 2 + vectors[:, 1] ** 2)
-
-
-def _medians(values: Floats, axis: int) -> Floats:
-    """Return the medians along an axis of what is not NaN: ten times as fast as NumPy's for a few
-    rows."""
-    ranked = np.sort(values.swapaxes(axis, -1))  # NaN come last
-    count = np.isfinite(ranked).sum(axis=-1)
-    flat = ranked.ravel()
-    first = np.arange(count.size).reshape(count.shape) * ranked.shape[-1]
-    middle = flat[first + np.maximum(count - 1, 0) // 2] + flat[first + count // 2]
-    return np.asarray(0.5 * middle)
-
-
-def _of_neighbours(
-    measured: Floats, fine: Bools, around: Neighbourhood, rows: Ints
-) -> tuple[Floats, Floats]:
-    """Return what ``measured`` (n, q) should be for markers ``rows`` by their ``fine`` neighbours,
-    and its scatter: the median, and 1.4826 times the median distance from it. Where there are too
-    few neighbours it is all markers'."""
-    known = np.where(fine[:, None], measured, np.nan)
-    near = np.where((around.fit_weight[rows] > 0.0)[:, :, None], known[around.near[rows]], np.nan)
-    near[np.isfinite(near[:, :, 0]).sum(axis=1) < LEAST_SCORES] = np.nan
-    usual = _medians(near, 1)
-    spread = _medians(np.abs(near - usual[:, None]), 1)
-    alone = np.isnan(usual[:, 0])
-    if alone.any():
-        if fine.sum() < LEAST_SCORES:
-            known = np.array([[0.0, 0.0, 0.0, 1.0, 1.0]])[:, : measured.shape[1]]
-        usual[alone] = _medians(known, 0)
-        spread[alone] = _medians(np.abs(known - usual[alone][0]), 0)
-    return usual, 1.4826 * spread
-
-
-def _centre_sds(fitted: Floats, usual_misfit: float) -> Floats:
-    """Return (n,) standard deviations of fitted centres, per axis, px: the noise's, more where the
-    fit is bad; NaN where there was none."""
-    bad = np.maximum(fitted[:, MISFIT] / usual_misfit - UNUSUAL, 0.0)
-    variance = 0.5 * (fitted[:, VAR_X] + fitted[:, VAR_Y])
-    return np.asarray(np.sqrt(variance * (1.0 + DOUBT * bad)))
-
-
-def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
-    """Return how many times as large as stated from single pixels' noise the errors of centres are.
-
-    Why: compression and colour mosaics leave errors that hang together over pixels, which the
-    variance in single pixels does not show, and which a fit takes for motion (5 to 10 times the
-    stated deviation). They move the edge in its third harmonic as in the first, the motion, but for
-    small markers (`Templates.smooths_third`). Neither motion, size nor strain moves the third, and
-    what a marker's own outline or shadow lacks of the model is the same at rest and cancels.
-
-    ``third`` is that of the edge at rest; ``seen`` and ``sd`` say which fits count, and the
-    standard deviations of their shifts, px.
-    """
-    moved = np.abs(fitted[:, THIRD] - third)
-    counts = seen & np.isfinite(moved[:, 0])
-    if 2 * int(counts.sum()) < LEAST_SCORES:
-        return 1.0
-    score = moved[counts] / sd[counts, None]
-    # Less noise than in single pixels, where shading passes for it, is shown by all of many edges.
-    least = 1.0
-    if counts.sum() >= SURE:
-        least = min(max(float(np.sqrt(np.mean(score**2))), LEAST_COHERENCE), 1.0)
-    return max(float(np.sqrt(BareGround.bounded_squares(score.reshape(-1, 1))[0])), least)
-
-
-def _most_moved(fitted: Floats, templates: Templates, sd: Floats, shrunk: Floats) -> Floats:
-    """Return (n,) the largest variance of a shift, per axis, px^2, by a part of the edge that is
-    hidden, and that makes the mean radius smaller by ``shrunk`` (n,) px.
-
-    A straight cut of the half angle q, q^3 = 3 pi shrunk / radius, moves the edge in its third
-    harmonic by 1 - .8 q^2 times as much as in its first, which is motion: so the third harmonic,
-    and what hides in its noise ``sd`` (n,), bound the motion. Concave ones move it by less.
-    """
-    angle = np.cbrt(3.0 * np.pi * shrunk / templates.radius_px)
-    share = np.fmax(1.0 - 0.8 * angle**2, 1e-3)
-    third = np.sqrt(_square(fitted[:, THIRD] - templates.third)) + EVEN * sd
-    return np.asarray(0.5 * (CONCAVE * third * templates.third_weakened / share) ** 2)
-
-
-def _shaded(fitted: Floats, templates: Templates, factor: float) -> Floats:
-    """Return (n, 2) how far centres would move, px, were their slopes of brightness fitted too, as
-    far as that has changed since rest by more than chance: shade has moved over the marker."""
-    rest, limit = templates.rest, factor if factor > COHERENT else 1.0
-    tilted = fitted[:, TILTED] - rest[:, TILTED]
-    noisier = _quantiles(fitted[:, MISFIT], USUAL)[0] / templates.usual_misfit
-    chance = fitted[:, VAR_TILTED] * max(noisier, 1.0) + rest[:, VAR_TILTED]
-    share = 1.0 - chance * (LEVEL_TILT * limit) ** 2 / np.fmax(_square(tilted), 1e-12)
-    if not templates.coherent:  # a shape of its own, of another noise: maybe compressed since
-        share[fitted[:, RESHAPED] == OWN_SHAPE] = 0.0
-    return np.nan_to_num(tilted) * np.fmax(share, 0.0)[:, None]
-
-
-def _edge_sds(
-    fitted: Floats, templates: Templates, rest_sd: Floats, sd: Floats, factor: float
-) -> Floats:
-    """Return (n,) standard deviations of shifts, px, with what a covered or shadowed edge adds.
-
-    ``rest_sd`` and ``sd`` are those of the rest positions and of the shifts from the noise, without
-    its coherence ``factor``.
-    """
-    rest, limit = templates.rest, factor if factor > COHERENT else 1.0
-    # How far the centre moves when one side of its edge is left out, beyond chance.
-    beyond = np.where(np.isnan(rest_sd), np.nan, 0.0)
-    looked = np.flatnonzero(np.isfinite(fitted[:, ONE_SIDED]))
-    if len(looked):
-        moved = fitted[looked, ONE_SIDED:RESHAPED] - rest[looked, ONE_SIDED:RESHAPED]
-        square = np.fmax.reduce(moved**2, axis=1, initial=0.0)
-        beyond[looked] = np.maximum(square - 2.0 * (CHANCE * limit * rest_sd[looked]) ** 2, 0.0)
-    part = fitted[:, RESHAPED] == PART_IN_SIGHT
-    if part.any():
-        # residuals of a part in sight count in its deviation already, and not twice
-        sd = np.where(part, sd / min(factor, max(np.sqrt(templates.usual_misfit), 1.0)), sd)
-        # an outline that is irregular at rest misleads where only a part of it is in sight
-        beyond[part] = np.nan_to_num(np.abs(rest[part, ONE_SIDED:RESHAPED])).max(axis=1) ** 2
-    sd = factor * sd
-    # A third harmonic of the edge that it did not have at rest: something hidden.
-    uneven = _square(fitted[:, THIRD] - templates.third)
-    beyond += np.fmax(uneven - (EVEN * sd) ** 2, 0.0) * templates.third_weakened**2
-    # Where noise hangs together nothing hidden can be told from it: what differs is stated.
-    if templates.coherent:
-        differs = np.fmax(fitted[:, DIFFERENCE], 0.0)
-        beyond += np.fmin(differs**2, _most_moved(fitted, templates, sd, differs))
-    covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
-    return np.asarray(np.sqrt(sd**2 + covered**2 + beyond))
+        return Seen(shift_px=shift + correction, sd_px=sd, state=state, coherence=coherence)
 
 
 @njit(cache=True)

@@ -22,7 +22,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Ints, Pixels
+from twin.arrays import Bools, Floats, Ints, Pixels, medians
 from twin.compiled import njit
 from twin.sense.template import LEADS
 
@@ -63,6 +63,9 @@ picture."""
 ASTRAY = 0.15
 """Share of the markers that may have moved unlike their neighbours: the spots of partly hidden
 markers lie off their centres."""
+
+LEAST_SCORES = 4
+"""From so many numbers on a median is taken."""
 
 TRUST = 0.25
 """Share of the markers that may be lost before the previous picture's motion is given up as a
@@ -268,6 +271,22 @@ class Neighbourhood:
             certain,
         )
         return predicted, certain
+
+    def usual(self, measured: Floats, fine: Bools, rows: Ints) -> tuple[Floats, Floats]:
+        """Return what ``measured`` (n, q) should be for markers ``rows`` by their ``fine``
+        neighbours, and its scatter: the median, and 1.4826 times the median distance from it.
+        Where there are too few neighbours it is all markers'; NaN where these are too few."""
+        known = np.where(fine[:, None], measured, np.nan)
+        count = fine.sum()
+        near = np.where((self.fit_weight[rows] > 0.0)[:, :, None], known[self.near[rows]], np.nan)
+        near[np.isfinite(near[:, :, 0]).sum(axis=1) < LEAST_SCORES] = np.nan
+        usual = medians(near, 1)
+        spread = medians(np.abs(near - usual[:, None]), 1)
+        alone = np.isnan(usual[:, 0])
+        if alone.any() and count >= LEAST_SCORES:
+            usual[alone] = medians(known)
+            spread[alone] = medians(np.abs(known - usual[alone][0]))
+        return usual, 1.4826 * spread
 
     def complete(self, spots: Pixels, spot: Ints, allowed: Bools) -> Ints:
         """Return (n,) ``spot``, with those of the ``allowed`` (b,) spots added for markers that

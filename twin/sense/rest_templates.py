@@ -1,7 +1,7 @@
 """The templates of the markers, made from the rest picture.
 
-`LayerSignal` chooses the projection by which each layer is measured. `make_templates` fits every
-marker at rest, and measures the noise that later fits are judged by: in single pixels, and as far
+`LayerSignal` chooses the projection by which each layer is measured, and fits every marker at rest.
+So the noise is known that later fits are judged by: in single pixels, and, by `BareGround`, as far
 as it hangs together over the ground around the markers.
 
 **Projection.** A layer's projection removes the other layers' colours and otherwise has the least
@@ -23,7 +23,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kernel
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kernel, medians
 from twin.compiled import njit
 from twin.sense.centre import Look
 from twin.sense.colour import LUMA, Flaws
@@ -223,6 +223,105 @@ class LayerSignal:
             )
         return signals
 
+    def make_templates(
+        self,
+        picture: Picture,
+        spots_px: Pixels,
+        cut: Bools,
+        diameter_px: float,
+        marks_px: Pixels,
+    ) -> tuple[Templates, Pixels]:
+        """Make the templates of the layer's markers.
+
+        Parameters
+        ----------
+        picture
+            (h, w, 3) counts at rest.
+        spots_px, cut
+            (n, 2) centres of the spots, px; (n,) which the picture's frame cuts: these have the
+            others' outline.
+        diameter_px
+            About how wide they are.
+        marks_px
+            (q, 2) centres of the spots of all layers, px.
+
+        Returns
+        -------
+        templates
+            `Templates.rest` is not known yet.
+        start_px
+            (n, 2) where their fits start at rest, px.
+        """
+        own, others = self.own, self.others
+        count, wanted = len(spots_px), np.isfinite(spots_px).all(axis=1)
+        radius = np.where(wanted & ~cut, 0.5 * diameter_px, np.nan)
+        # The noise in single pixels: a full marker's is never taken for less than the ground's.
+        variances = _noise_variances(
+            picture, own, self.sites, spots_px, 0.5 * diameter_px, USUAL_BLUR_PX
+        )
+        noise = _smooth_noise(variances, spots_px, picture.shape)
+        ground_slopes = _ground_slopes(
+            picture, self, spots_px, 0.5 * diameter_px, marks_px, noise[:, 0]
+        )
+        # Blur and bulge are the layer's, by a sample of its markers; then every marker is fitted.
+        shape = np.full((count, SHAPE + 3), np.nan)
+        if wanted.any():
+            every = max(1, int(np.isfinite(radius).sum()) // SAMPLE)
+            few = np.where(np.cumsum(np.isfinite(radius)) % every == 0, radius, np.nan)
+            reach = 0.65 * diameter_px + 2.0 * USUAL_BLUR_PX + MARGIN_PX
+            seen = (picture, own, others, self.sites, ground_slopes, spots_px)
+            first = fit_shapes(
+                *seen, few, reach, noise, USUAL_BLUR_PX, free_bulge=True, free_blur=True
+            )
+            good = np.isfinite(first[:, 0])
+            blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
+            bulge = float(np.median(first[good, 5])) if good.any() else 0.0
+            reach = 0.65 * diameter_px + 2.0 * blur + MARGIN_PX
+            shape = fit_shapes(*seen, radius, reach, noise, blur, bulge)
+        # Markers that could not be fitted have the median shape.
+        good = np.isfinite(shape[:, 0])
+        if good.any():
+            shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
+        places = np.where(good[:, None], shape[:, SHAPE : SHAPE + 2], spots_px)
+        slopes = _share_slopes(shape, places, good, picture.shape)
+        axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1)
+        margin = np.fmax(MARGIN_PX, GROWS * axes)
+        reach = float(np.nanmax(axes + shape[:, 6] + margin, initial=3.0 + MARGIN_PX))
+        unknown = np.zeros((count, COLUMNS))
+        unknown[:, [MISFIT, FITTING]] = 1.0
+        templates = Templates(
+            own=own,
+            others=others,
+            sites=self.sites,
+            shape=for_kernel(shape[:, :SHAPE]),
+            ground=np.where(
+                np.abs(shape[:, SHAPE + 2]) > 0.5 * shape[:, 7], shape[:, SHAPE + 2], 0.0
+            ),
+            ground_slopes=ground_slopes,
+            noise=noise,
+            gain=1.0,
+            slopes=slopes,
+            usual_misfit=1.0,
+            level=shape[:, 7].copy(),
+            reach_px=reach,
+            coherent=False,
+            rest=unknown,
+        )
+        # The rest picture fitted by its own templates gives ground, level and the usual misfit.
+        fitted = templates.fit(picture, places)
+        templates = replace(templates, gain=_gain(picture, templates, fitted[:, CENTRE]))
+        fitted = templates.fit(picture, for_kernel(fitted[:, CENTRE]))
+        misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
+        usual = float(np.quantile(misfit, USUAL)) if len(misfit) else 1.0
+        settled = replace(
+            templates,
+            ground=np.nan_to_num(fitted[:, GROUND]),
+            usual_misfit=max(usual, 1.0),
+            level=fitted[:, LEVEL],
+            coherent=usual > WHITE,
+        )
+        return settled, np.ascontiguousarray(fitted[:, CENTRE])
+
 
 def _marker_colour(
     picture: Picture, centres: Pixels, diameter: float, marks: Pixels, widest: float
@@ -248,104 +347,6 @@ def _marker_colour(
     ring[~free] = np.nan
     some = free.any(axis=0)
     return np.asarray(np.median(spot[some] - np.nanmedian(ring[:, some], axis=0), axis=0))
-
-
-def make_templates(
-    picture: Picture,
-    layer: LayerSignal,
-    spots_px: Pixels,
-    cut: Bools,
-    diameter_px: float,
-    marks_px: Pixels,
-) -> tuple[Templates, Pixels]:
-    """Make the templates of one layer's markers.
-
-    Parameters
-    ----------
-    picture
-        (h, w, 3) counts at rest.
-    layer
-        Its signal.
-    spots_px, cut
-        (n, 2) centres of the spots, px; (n,) which the picture's frame cuts: these have the others'
-        outline.
-    diameter_px
-        About how wide they are.
-    marks_px
-        (q, 2) centres of the spots of all layers, px.
-
-    Returns
-    -------
-    templates
-        `Templates.rest` is not known yet.
-    start_px
-        (n, 2) where their fits start at rest, px.
-    """
-    own, others = layer.own, layer.others
-    count, wanted = len(spots_px), np.isfinite(spots_px).all(axis=1)
-    radius = np.where(wanted & ~cut, 0.5 * diameter_px, np.nan)
-    # The noise in single pixels: a full marker's is never taken for less than the ground's.
-    variances = _noise_variances(
-        picture, own, layer.sites, spots_px, 0.5 * diameter_px, USUAL_BLUR_PX
-    )
-    noise = _smooth_noise(variances, spots_px, picture.shape)
-    ground_slopes = _ground_slopes(
-        picture, layer, spots_px, 0.5 * diameter_px, marks_px, noise[:, 0]
-    )
-    # Blur and bulge are the layer's, by a sample of its markers; then every marker is fitted.
-    shape = np.full((count, SHAPE + 3), np.nan)
-    if wanted.any():
-        every = max(1, int(np.isfinite(radius).sum()) // SAMPLE)
-        few = np.where(np.cumsum(np.isfinite(radius)) % every == 0, radius, np.nan)
-        reach = 0.65 * diameter_px + 2.0 * USUAL_BLUR_PX + MARGIN_PX
-        seen = (picture, own, others, layer.sites, ground_slopes, spots_px)
-        first = fit_shapes(*seen, few, reach, noise, USUAL_BLUR_PX, free_bulge=True, free_blur=True)
-        good = np.isfinite(first[:, 0])
-        blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
-        bulge = float(np.median(first[good, 5])) if good.any() else 0.0
-        reach = 0.65 * diameter_px + 2.0 * blur + MARGIN_PX
-        shape = fit_shapes(*seen, radius, reach, noise, blur, bulge)
-    # Markers that could not be fitted have the median shape.
-    good = np.isfinite(shape[:, 0])
-    if good.any():
-        shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
-    places = np.where(good[:, None], shape[:, SHAPE : SHAPE + 2], spots_px)
-    slopes = _share_slopes(shape, places, good, picture.shape)
-    axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1)
-    margin = np.fmax(MARGIN_PX, GROWS * axes)
-    reach = float(np.nanmax(axes + shape[:, 6] + margin, initial=3.0 + MARGIN_PX))
-    unknown = np.zeros((count, COLUMNS))
-    unknown[:, [MISFIT, FITTING]] = 1.0
-    templates = Templates(
-        own=own,
-        others=others,
-        sites=layer.sites,
-        shape=for_kernel(shape[:, :SHAPE]),
-        ground=np.where(np.abs(shape[:, SHAPE + 2]) > 0.5 * shape[:, 7], shape[:, SHAPE + 2], 0.0),
-        ground_slopes=ground_slopes,
-        noise=noise,
-        gain=1.0,
-        slopes=slopes,
-        usual_misfit=1.0,
-        level=shape[:, 7].copy(),
-        reach_px=reach,
-        coherent=False,
-        rest=unknown,
-    )
-    # The rest picture fitted by its own templates gives ground, level and the usual misfit.
-    fitted = templates.fit(picture, places)
-    templates = replace(templates, gain=_gain(picture, templates, fitted[:, CENTRE]))
-    fitted = templates.fit(picture, for_kernel(fitted[:, CENTRE]))
-    misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
-    usual = float(np.quantile(misfit, USUAL)) if len(misfit) else 1.0
-    settled = replace(
-        templates,
-        ground=np.nan_to_num(fitted[:, GROUND]),
-        usual_misfit=max(usual, 1.0),
-        level=fitted[:, LEVEL],
-        coherent=usual > WHITE,
-    )
-    return settled, np.ascontiguousarray(fitted[:, CENTRE])
 
 
 def _gain(picture: Picture, templates: Templates, centres: Pixels) -> float:
@@ -380,12 +381,6 @@ def _smooth_gradient(values: Floats, places: Pixels, size: Sequence[int]) -> Flo
     return slopes
 
 
-def _middle(values: Floats) -> Floats:
-    """Return the medians of the columns of ``values`` (n, q), none of which is NaN."""
-    ranked, count = np.sort(values, axis=0), len(values)
-    return np.asarray(0.5 * (ranked[(count - 1) // 2] + ranked[count // 2]))
-
-
 def in_other_light(
     picture: Picture, templates: Templates, fitted: Floats, evenly: Floats
 ) -> tuple[Templates, Floats] | None:
@@ -407,9 +402,9 @@ def in_other_light(
     basis = evenly
     if count < len(known):
         change, basis = change[known], evenly[known]
-    middle = _middle(change)
+    middle = medians(change)
     change = change - middle
-    reach = OUTLYING * 1.4826 * _middle(np.abs(change))
+    reach = OUTLYING * 1.4826 * medians(np.abs(change))
     bounded = np.minimum(np.maximum(change, -reach), reach) + middle
     along = basis.T @ bounded
     squares = (along * along).sum(axis=0)
@@ -498,19 +493,6 @@ def _smooth_noise(variances: Floats, places: Pixels, size: Sequence[int]) -> Flo
     if np.abs(factor).max(initial=0.0) < NOISE_VARIES:
         factor = 0.0 * factor
     return np.asarray(np.maximum(usual * np.exp(factor)[:, None], QUANTISED))
-
-
-def noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
-    """Return (n, 2) the noise's variances in another picture than that at rest: never less, and
-    more as the ground around the markers at ``places`` (n, 2), px, has more."""
-    radius = float(np.nanmedian(templates.radius_px))
-    variances = _noise_variances(
-        picture, templates.own, templates.sites, places, radius, 2.0 * USUAL_BLUR_PX
-    )
-    ratio = variances[:, 0] / templates.noise[:, 0]
-    return np.asarray(
-        templates.noise * max(float(np.nanmedian(ratio)) if np.isfinite(ratio).any() else 1.0, 1.0)
-    )
 
 
 def _widest(templates: Templates) -> float:
@@ -602,7 +584,21 @@ class BareGround:
         """Return (q,) the mean squares of the columns of ``score`` (n, q), where more than
         `OUTLYING` medians count as so many."""
         score = np.abs(score)
-        return np.asarray((np.minimum(score, OUTLYING * _middle(score)) ** 2).mean(axis=0))
+        return np.asarray((np.minimum(score, OUTLYING * medians(score)) ** 2).mean(axis=0))
+
+    @staticmethod
+    def noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
+        """Return (n, 2) the noise's variances in another picture than that at rest: never less, and
+        more as the ground around the markers at ``places`` (n, 2), px, has more."""
+        radius = float(np.nanmedian(templates.radius_px))
+        variances = _noise_variances(
+            picture, templates.own, templates.sites, places, radius, 2.0 * USUAL_BLUR_PX
+        )
+        ratio = variances[:, 0] / templates.noise[:, 0]
+        return np.asarray(
+            templates.noise
+            * max(float(np.nanmedian(ratio)) if np.isfinite(ratio).any() else 1.0, 1.0)
+        )
 
     @classmethod
     def of(
@@ -625,7 +621,7 @@ class BareGround:
         if known.sum() < QUADRATIC:
             return None
         places, moved = places[known], moved[known]
-        if _uneven(moved, places, picture)[1] < WHITE * _middle(by_noise[known])[1]:
+        if _uneven(moved, places, picture)[1] < WHITE * medians(by_noise[known])[1]:
             return None
         few = slice(None, None, math.ceil(len(places) / FEW_PLACES))
         places, moved = places[few], moved[few]
@@ -658,7 +654,7 @@ class BareGround:
         for rows in (slice(count), slice(count, None)):
             change = moved[rows] - self.moved_px
             known = np.isfinite(change[:, 0])
-            noise = _middle(by_noise[rows][known]) if known.any() else 0.0
+            noise = medians(by_noise[rows][known]) if known.any() else 0.0
             if known.sum() < QUADRATIC:
                 change = np.sqrt(2.0) * self.moved_px  # as if the texture were another one
             square = _uneven(change, self.places_px, picture) - 2.0 * noise

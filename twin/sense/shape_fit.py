@@ -1,9 +1,9 @@
 """The fits of a marker's whole picture, of the part of it that is in sight, and of rough outlines.
 
 `fit_shapes` fits every marker at rest, which gives its template, and later those that no longer
-look as at rest: outline, brightness and blur. `fit_visible` fits markers of which a part is hidden,
-or cut off by the picture's frame. `OwnPictures` fits markers with rough outlines by their pictures
-at rest.
+look as at rest: outline, brightness and blur. `Expected.fit_visible` fits markers of which a part
+is hidden, or cut off by the picture's frame. `OwnPictures` fits markers with rough outlines by
+their pictures at rest.
 
 A marker that lacks light on one side is either partly hidden or smaller than it was. Its own
 picture does not say which, so its neighbours' do: the outline, blur and brightness are expected to
@@ -28,7 +28,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.ndimage import gaussian_filter, laplace, map_coordinates, spline_filter, spline_filter1d
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, medians
 from twin.compiled import njit
 from twin.sense.template import (
     CENTRE,
@@ -394,74 +394,77 @@ class Expected:
             place[k] = centre[np.argmin((left * left / (1.0 + lacks * lacks)) @ use[k])]
         return place
 
+    def fit_visible(
+        self, picture: Picture, templates: Templates, rows: Ints, start_px: Pixels
+    ) -> Floats:
+        """Fit the parts in sight of the markers ``rows``, from (k, 2) ``start_px`` on.
 
-def fit_visible(
-    picture: Picture, templates: Templates, rows: Ints, start_px: Pixels, expected: Expected
-) -> Floats:
-    """Fit the parts in sight of the markers ``rows``, from (k, 2) ``start_px`` on.
-
-    Returns
-    -------
-    (k, `COLUMNS`): as `Templates.fit`, but `EDGE` is the share of the edge's information that no
-    other layer covers, `FITTING` the share that is used, and `SHORTFALL` that of the marker that is
-    hidden; NaN what is not measured.
-    """
-    known = templates.shape[rows]
-    noise = templates.noise[rows] * templates.usual_misfit
-    reach = float(np.max(expected.axes[:, [0, 2]].max(axis=1) + expected.blur)) + 2.0
-    offset = disc_offsets(reach)
-    middle = np.rint(start_px).astype(np.int64)
-    signal, use, inside = _signal(picture, templates, middle[:, None] + offset)
-    far = np.hypot(*offset.T) > reach - 1.5
-    blurred = float(np.max(expected.blur))
-    within = max(BESIDE_PX, BESIDE * blurred), max(AROUND_PX, AROUND * blurred)
-    radius = np.sqrt(np.maximum(expected.axes[:, 0] * expected.axes[:, 2], 0.25))
-    fit = np.zeros((len(rows), FREE))
-    fit[:, CENTRE] = start_px
-    fit[:, 2] = _medians(signal[:, far], use[:, far])
-    fit[:, 3] = expected.level
-    held = np.full((len(rows), FREE), 1e-9)
-    held[:, 3] += expected.level_sd**-2.0
-    held[:, 4:] += expected.axes_sd[:, None] ** -2.0
-    hidden, step = np.zeros(signal.shape, np.bool_), np.empty(len(rows))
-    pixels, matrix = np.empty((len(rows), 4, len(offset))), np.empty((len(rows), FREE, FREE))
-    _fit_visible(
-        signal,
-        use,
-        offset,
-        tuple(_near(int(reach**2), math.ceil(distance**2)) for distance in within),
-        middle,
-        (expected.axes, np.column_stack([known[:, 3:6], expected.blur])),
-        (templates.slopes, templates.ground_slopes, picture.shape[:2]),
-        noise,
-        templates.coherent,
-        expected.bare,
-        (held, radius[:, None] * LARGEST_STEPS),
-        fit,
-        hidden,
-        pixels,
-        matrix,
-        step,
-    )
-    used = use & ~hidden
-    count = used.sum(axis=1)
-    cover, residual, information, expected_square = pixels.transpose(1, 0, 2)
-    squares = (residual**2 * used / expected_square).sum(axis=1)
-    covariance = np.linalg.inv(matrix)
-    every = np.maximum(information.sum(axis=1) * templates.sites.mean(), 1e-9)
-    fitted = np.full((len(rows), COLUMNS), np.nan)
-    fitted[:, CENTRE], fitted[:, LEVEL], fitted[:, GROUND] = fit[:, CENTRE], fit[:, 3], fit[:, 2]
-    fitted[:, VARIANCE] = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])[:, None]
-    fitted[:, PIXELS] = count
-    fitted[:, MISFIT] = templates.usual_misfit * squares / np.maximum(count, 1)
-    fitted[:, SQUARES] = fitted[:, MISFIT] * count * templates.noise[rows, 0]
-    fitted[:, STEP] = step
-    fitted[:, EDGE] = 1.0 - (information * (inside & ~use)).sum(axis=1) / every
-    fitted[:, FITTING] = (information * used).sum(axis=1) / every
-    fitted[:, SHORTFALL] = (cover * (hidden & use)).sum(axis=1) / np.maximum(
-        cover.sum(axis=1), 1e-9
-    )
-    return fitted
+        Returns
+        -------
+        (k, `COLUMNS`): as `Templates.fit`, but `EDGE` is the share of the edge's information that
+        no other layer covers, `FITTING` the share that is used, and `SHORTFALL` that of the marker
+        that is hidden; NaN what is not measured.
+        """
+        known = templates.shape[rows]
+        noise = templates.noise[rows] * templates.usual_misfit
+        reach = float(np.max(self.axes[:, [0, 2]].max(axis=1) + self.blur)) + 2.0
+        offset = disc_offsets(reach)
+        middle = np.rint(start_px).astype(np.int64)
+        signal, use, inside = _signal(picture, templates, middle[:, None] + offset)
+        far = np.hypot(*offset.T) > reach - 1.5
+        blurred = float(np.max(self.blur))
+        within = max(BESIDE_PX, BESIDE * blurred), max(AROUND_PX, AROUND * blurred)
+        radius = np.sqrt(np.maximum(self.axes[:, 0] * self.axes[:, 2], 0.25))
+        fit = np.zeros((len(rows), FREE))
+        fit[:, CENTRE] = start_px
+        fit[:, 2] = _medians(signal[:, far], use[:, far])
+        fit[:, 3] = self.level
+        held = np.full((len(rows), FREE), 1e-9)
+        held[:, 3] += self.level_sd**-2.0
+        held[:, 4:] += self.axes_sd[:, None] ** -2.0
+        hidden, step = np.zeros(signal.shape, np.bool_), np.empty(len(rows))
+        pixels, matrix = np.empty((len(rows), 4, len(offset))), np.empty((len(rows), FREE, FREE))
+        _fit_visible(
+            signal,
+            use,
+            offset,
+            tuple(_near(int(reach**2), math.ceil(distance**2)) for distance in within),
+            middle,
+            (self.axes, np.column_stack([known[:, 3:6], self.blur])),
+            (templates.slopes, templates.ground_slopes, picture.shape[:2]),
+            noise,
+            templates.coherent,
+            self.bare,
+            (held, radius[:, None] * LARGEST_STEPS),
+            fit,
+            hidden,
+            pixels,
+            matrix,
+            step,
+        )
+        used = use & ~hidden
+        count = used.sum(axis=1)
+        cover, residual, information, expected_square = pixels.transpose(1, 0, 2)
+        squares = (residual**2 * used / expected_square).sum(axis=1)
+        covariance = np.linalg.inv(matrix)
+        every = np.maximum(information.sum(axis=1) * templates.sites.mean(), 1e-9)
+        fitted = np.full((len(rows), COLUMNS), np.nan)
+        fitted[:, CENTRE], fitted[:, LEVEL], fitted[:, GROUND] = (
+            fit[:, CENTRE],
+            fit[:, 3],
+            fit[:, 2],
+        )
+        fitted[:, VARIANCE] = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])[:, None]
+        fitted[:, PIXELS] = count
+        fitted[:, MISFIT] = templates.usual_misfit * squares / np.maximum(count, 1)
+        fitted[:, SQUARES] = fitted[:, MISFIT] * count * templates.noise[rows, 0]
+        fitted[:, STEP] = step
+        fitted[:, EDGE] = 1.0 - (information * (inside & ~use)).sum(axis=1) / every
+        fitted[:, FITTING] = (information * used).sum(axis=1) / every
+        fitted[:, SHORTFALL] = (cover * (hidden & use)).sum(axis=1) / np.maximum(
+            cover.sum(axis=1), 1e-9
+        )
+        return fitted
 
 
 @lru_cache(maxsize=16)
@@ -478,10 +481,7 @@ def _near(disc_square: int, square: int) -> Ints:
 
 def _medians(values: Floats, use: Bools) -> Floats:
     """Return (k,) medians of those of ``values`` (k, m) that are to be used; 0 where none is."""
-    ranked = np.sort(np.where(use, values, np.nan), axis=1)  # NaN come last
-    count, rows = use.sum(axis=1), np.arange(len(values))
-    middle = 0.5 * (ranked[rows, (count - 1) // 2] + ranked[rows, count // 2])
-    return np.asarray(np.nan_to_num(middle))
+    return np.asarray(np.nan_to_num(medians(np.where(use, values, np.nan), 1)))
 
 
 @njit(cache=True, fastmath=True)

@@ -177,6 +177,9 @@ UNUSUAL = 1.5
 """A marker whose squared residuals exceed the usual ones by this factor is doubted: its edge is
 looked at, and its variance grows."""
 
+DOUBT = 4.0
+"""A doubted marker's variance grows by so much of the excess of its residuals."""
+
 SMALLER, LEAST_SPREAD = 4.0, 0.004
 """A marker smaller than the others by so many of their standard deviations, which are taken for no
 less than this share, may be partly hidden."""
@@ -733,6 +736,13 @@ class Templates:
     def usual_shape(self) -> Floats:
         """(`SHAPE`,) median of the markers'."""
         return np.asarray(np.nanmedian(self.shape, axis=0))
+
+    def centre_sds(self, fitted: Floats) -> Floats:
+        """Return (n,) standard deviations of ``fitted`` (n, `COLUMNS`) centres, per axis, px: the
+        noise's, more where the fit is bad; NaN where there was none."""
+        bad = np.maximum(fitted[:, MISFIT] / self.usual_misfit - UNUSUAL, 0.0)
+        variance = 0.5 * (fitted[:, VAR_X] + fitted[:, VAR_Y])
+        return np.asarray(np.sqrt(variance * (1.0 + DOUBT * bad)))
 
     def fit(
         self,

@@ -9,7 +9,7 @@ from small_sweep import SET, small
 
 import twin
 from twin.arrays import Floats
-from twin.judge.resolution import DIP, dip
+from twin.judge.score import DIP, dip
 from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import Sweep
 from twin.sense.calibration import Calibration

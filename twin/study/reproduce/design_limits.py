@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Floats, Picture
-from twin.judge.resolution import full_width
+from twin.judge.score import full_width
 from twin.parts.load import Traction
 from twin.parts.press import Press
 from twin.parts.sweep import GF

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Floats, Ints
-from twin.judge.resolution import full_width
+from twin.judge.score import full_width
 from twin.sense.calibration import Calibration
 from twin.show.figure_panels import Panel
 from twin.study.reproduce.bench import (

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from twin.arrays import Floats
-from twin.judge.resolution import full_width
+from twin.judge.score import full_width
 from twin.parts.load import Load, Traction
 from twin.parts.press import Cylinder, Pillar, Press, Step
 from twin.sense.reconstruct import Field

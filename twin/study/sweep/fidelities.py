@@ -34,8 +34,7 @@ import scipy.sparse as sp
 
 from twin.arrays import Bools, Floats, Picture, Points
 from twin.errors import InputError, RecipeError
-from twin.judge.resolution import dip, full_width, two_point_distance
-from twin.judge.score import GROSS_PX
+from twin.judge.score import GROSS_PX, dip, full_width, two_point_distance
 from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.parts.methods import Method
