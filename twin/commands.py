@@ -14,7 +14,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -204,7 +204,7 @@ def run(
 
     Examples:
     twin run kamiyama_pillar
-    twin run my_scene.toml -s press.force_n='{z=2}' --out out/two
+    twin run kamiyama_pillar -s press.force_n='{z=2}' --out out/two
     twin run sato_press --want displacement
     twin run gelpad_press --open
     twin run kamiyama_pillar --live
@@ -388,6 +388,9 @@ def scenes(
         yield lines[0], {"file": str(file)}
         yield from lines[1:]
         return
+    if pad != _Pad():
+        given = next(each.name for each in fields(pad) if getattr(pad, each.name) != each.default)
+        raise InputError(f"--{given.replace('_', '-')} belongs to a new recipe: give --new NAME")
     from twin.study.recipe import load_scene, shipped_scenes
 
     for name, path in shipped_scenes().items():
@@ -422,10 +425,10 @@ def check(
         Measure the scene's camera chip by EMVA 1288, and compare what it states.
 
     Examples:
-    twin check my_scene.toml -s material.poisson_ratio=0.45
+    twin check gelpad_press -s material.poisson_ratio=0.45
     twin check out/kamiyama_pillar
-    twin check rest1.png rest2.png --scene my_scene.toml
-    twin check my_scene.toml --camera
+    twin check gelpad_press --camera
+    twin check rest1.png rest2.png --scene mine.toml
     twin check camera.yaml
     """
     if (second is None) != (scene is None):
@@ -515,6 +518,8 @@ def view(
         page = out or Path(f"{folder.stem}.html")
         if page.suffix.lower() not in PAGES:
             raise InputError(f"{path}: an STL file gives a page, --out NAME.html")
+        if set_:
+            raise InputError(f"{path}: -s belongs to a scene; a surface has no keys")
         write_whole(page, surface_view(folder).page().encode())
         line = f"written to {page}; open it in a browser and click what is pressed or held"
         yield line, {"file": str(page)}
@@ -589,9 +594,9 @@ def calibrate(
         Picture of the markers found (.png, with --layout-from).
 
     Examples:
-    twin calibrate --scene sato_press --out sato.npz
-    twin calibrate recording --scene kamiyama_pillar --method fitted --out mine.npz
-    twin calibrate --layout-from rest.png --pitch-mm 1.25 --depth-mm 0.5 --out markers.toml
+    twin calibrate --scene gelpad_press --out pad.npz
+    twin calibrate recording --scene mine.toml --method fitted --out mine.npz
+    twin calibrate --layout-from out/gelpad_press/rest.png --pitch-mm 1.25 --depth-mm 0.5
     """
     if layout_from is not None:
         if folder is not None or method is not None:
@@ -691,9 +696,10 @@ def reconstruct(
         Instead: a CSV file with the columns frame, time_s.
 
     Examples:
-    twin reconstruct rest.png press*.png --calibration flat.npz --out forces.parquet
-    twin reconstruct rest.png film.mp4 --calibration flat.npz --overlay drawn.mp4
-    ... | twin reconstruct rest.png - --size 640x480 --format rgb24 --calibration flat.npz
+    twin reconstruct out/gelpad_press/rest.png out/gelpad_press/pressed.png --calibration pad.npz
+    twin reconstruct rest.png press*.png --calibration mine.npz --out forces.parquet
+    twin reconstruct rest.png film.mp4 --calibration mine.npz --overlay drawn.mp4
+    ... | twin reconstruct rest.png - --size 640x480 --format rgb24 --calibration mine.npz
     """
     from twin.study.recorded import reconstruct_recording
 
@@ -750,7 +756,7 @@ def dataset(
     Examples:
     twin dataset dataset_kamiyama --samples 1000 --out data/flat
     twin dataset dataset_sato --samples 50 --columns force_n,marker_pressed_px
-    twin dataset my_scene.toml --samples 100000 --scheduler tcp://10.0.0.1:8786
+    twin dataset dataset_sato --samples 100000 --scheduler tcp://10.0.0.1:8786
     """
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")  # read when numba is loaded; workers inherit it
     from twin.study.dataset.create import create_dataset
@@ -853,7 +859,7 @@ def sweep(
 
     Examples:
     twin sweep sweep_lens --out out/lens
-    twin sweep my_sweep.toml --workers 8
+    twin sweep sweep_youngs_modulus --workers 2
     twin sweep sweep_kamiyama_depth_pitch --optimise
     """
     from twin.study.recipe import parse_overrides

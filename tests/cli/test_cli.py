@@ -125,6 +125,23 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["check", "gelpad_press", "-s", "base=other"], "base: unknown key; a scene file names its base"),
         (["check", "gelpad_press", "-s", "body.file=a.stl"], "body.file: unknown key; it belongs to shape = 'solid'"),
         (["check", "gelpad_press", "-s", "body={shape='block'}"], "the recipe 'gelpad', which also holds [material]"),
+        (["check", "mine.toml"], "mine.toml: is empty: begin with base = 'gelpad_press'"),
+        (["check", "COMMA.toml"], "(at line 2, column 32); numbers have a point, such as 0.15, not a comma"),
+        (["check", "PICTURE"], "twin check REST1 REST2 --scene SCENE two of a sensor at rest"),
+        (["check", "gelpad_press", "-s", "tolerance.depth_mm=5"], "as drawn they fit: or reduce tolerance.depth_mm"),
+        (["check", "gelpad_press", "-s", "reconstruction.sites.pitch_mm=10"], "sites: some lie outside the sensing"),
+        (["check", "gelpad_press", "-s", "markers.Dots.depth_mm=1"], "no markers.Dots; did you mean 'dots'?\n"),
+        (["check", "kamiyama_pillar", "-s", "markers.dots.depth_mm=1"], "markers.dots; its layers are red, blue"),
+        (
+            ["dataset", "OFF.toml", "--samples", "3", "--dry-run"],
+            "vary: the first 8 presses all fail, the first: the sphere at",
+        ),
+        (["sweep", "COMMA.toml"], "not valid TOML"),
+        (["sweep", "OFF.toml"], "OFF.toml: is a scene, not a sweep"),
+        (["scenes", "--pitch-mm", "2"], "--pitch-mm belongs to a new recipe: give --new NAME"),
+        (["view", "BODY.stl", "-s", "seed=2"], "BODY.stl: -s belongs to a scene"),
+        (["reconstruct", "REST", "GONE*.png", "--calibration", "C"], "GONE*.png: there is no such picture, folder"),
+        (["reconstruct", "REST", "FOLDER", "--calibration", "C"], "FOLDER: the folder holds no pictures (.png"),
         (["calibrate", "--scene", "sato_press", "--out", "x.txt"], [".npz"]),
         (["calibrate", "--scene", "block_bare", "--out", "x.npz"], ["block_bare: ", "[reconstruction]"]),
     ],
@@ -135,6 +152,9 @@ def test_wrong_input_is_told_in_the_users_terms(arguments, words, tmp_path, caps
     Path("FILE").touch()
     Path("TABLE.csv").write_text("0.1\n")
     Path("mine.toml").touch()
+    Path("COMMA.toml").write_text('base = "gelpad_press"\nmaterial.youngs_modulus_mpa = 0,15\n')
+    off = '[vary]\n"press.at_mm" = {low = [50, 50], high = [60, 60]}\n'
+    Path("OFF.toml").write_text('base = "gelpad_press"\n' + off)
     Path("PICTURE").write_bytes(b"\x89PNG\r\n")
     Path("BODY.stl").write_bytes(bytes(84))
     Path("BODY.step").write_bytes(b"ISO-10303-21;")

@@ -108,10 +108,18 @@ def test_a_face_that_is_clicked_becomes_a_region_of_a_recipe(tmp_path: Path) -> 
     """The middle of a box, seen from above, is its top, of which the recipe's region picks the same share."""
     trimesh.creation.box(bounds=[[-10, -8, 0], [10, 8, 5]]).export(tmp_path / "pad.stl")
     page = tmp_path / "pad.html"
-    click = "<script>pick(canvas.clientWidth / 2, canvas.clientHeight / 2)</script></body>"
+    # x, y and z on the screen make no mirror image; all of the body is in it
+    axes = "onto([1, 0, 0, 0, 1, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0, 0, 0, 0], 0), zero = onto([0, 0, 0], [0, 0, 0], 0)"
+    see = f"const by = {axes}, [x, y, z] = [0, 3, 6].map(k => [0, 1, 2].map(j => by[k + j] - zero[j]));"
+    seen = "const at = onto(corner, corner, 0), across = at.filter((_, i) => i % 3 == 0);"
+    shown = "document.querySelectorAll('form > :not([hidden])').length"
+    facts = f"[dot(cross(x, y), z) > 0, Math.min(...across) >= 0, Math.max(...across) <= canvas.clientWidth, {shown}]"
+    click = f"<script>{see}{seen} document.body.dataset.facts = {facts}; "
+    click += "pick(canvas.clientWidth / 2, canvas.clientHeight / 2)</script></body>"
     page.write_text(surface_view(tmp_path / "pad.stl").page().replace("</body>", click))
-    browser = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--window-size=900,700", "--dump-dom"]
+    browser = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--window-size=500,700", "--dump-dom"]
     shown = subprocess.run([*browser, page.as_uri()], capture_output=True, text=True, check=True).stdout
+    assert 'data-facts="true,true,true,1"' in shown
     line = re.search(r"sensing\.plane = \{.*?\}", shown)[0]
     plane = tomllib.loads(line)["sensing"]["plane"]
     assert plane["normal"] == [0, 0, -1]

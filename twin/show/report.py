@@ -203,7 +203,11 @@ def _difference(rest: Picture, pressed: Picture) -> list[str]:
         f'<img src="{uri}" width="{width}" height="{height}" '
         'alt="Difference of the pressed picture and the rest picture">'
     )
-    words = "Pressed minus rest: grey did not change, white became brighter, black darker"
+    most = digits(largest / rest.shape[2])
+    words = (
+        f"Pressed minus rest: grey did not change, white became brighter by {most} counts or more "
+        "(mean of the colours and of 2 × 2 px), black as much darker"
+    )
     return [figure(image, words)]
 
 

@@ -601,14 +601,20 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
     return made, text, read
 
 
-def _check_forces(scene: Scene, force_n: Floats) -> None:
-    """Refuse (q, 3) forces that would press the ball deeper than half the body: grams, say."""
+def _check_forces(scene: Scene, force_n: Floats, inward: Floats) -> None:
+    """Refuse (q, 3) forces that would press the ball deeper than half the body: grams, say; and
+    those that all pull, against the (q, 3) inward normals."""
     size = np.linalg.norm(force_n, axis=1)
     low, high = scene.body.bounds_mm
     radius = scene.calibration.press_probe_mm / 2
     most = int(size.argmax())
     if size[most] == 0:
         raise InputError(f"{TABLE}: no press has a force; give what the load cell reads, N")
+    if np.all(np.einsum("ij,ij->i", force_n, inward) <= 0):
+        raise InputError(
+            f"{TABLE}: every press pulls (the largest by fz_n = {force_n[most, 2]:.4g} N): forces "
+            "are those on the sensor, and z points into it; change the load cell's signs"
+        )
     depth = _hertz_radius(scene, float(size[most])) ** 2 / radius
     if depth > max((high[2] - low[2]) / 2, radius):
         raise InputError(
@@ -642,7 +648,7 @@ def _by_presses(
     given = np.isfinite(places_mm[:, 2:])
     points = np.where(given, places_mm, scene.body.surface_from_above(places_mm[:, :2]))
     _require_places(scene.body, places_mm, np.isfinite(points[:, 2]))
-    _check_forces(scene, presses.force_n)
+    _check_forces(scene, presses.force_n, scene.body.frames(points)[:, 2])
     charts = scene.body.chart_of(points)
     # A place further off than the ball's radius isn't on this surface.
     near = np.abs(scene.body.depth(points)) <= scene.calibration.press_probe_mm / 2

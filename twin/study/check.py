@@ -93,6 +93,8 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[Fact]:
 
         for press in (scene.press, *scene.press.also):
             Approach.of_press(press, scene.body)
+    if scene.reconstruction is not None:
+        _ = sensor.sites
     _mesh_own_body(scene)
     warnings = (*doubts(scene), *_check_dataset(scene))
     facts = [

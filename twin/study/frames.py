@@ -26,6 +26,8 @@ from twin.files import LARGEST_PX, picture_of_png
 PICTURES = (".png", ".bmp", ".jpg", ".jpeg")
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
 
+_NONE = f"the folder holds no pictures ({', '.join(PICTURES)})"
+
 _DECODERS = ("PNG", "BMP", "JPEG")
 """Pillow's decoders that may open a picture. A file's content chooses the decoder, not its name,
 and others start programs (EPS: Ghostscript) or are seldom tested."""
@@ -71,6 +73,10 @@ class Frame:
             raise InputError(
                 "--size and --format belong to raw frames: give - in place of the pictures"
             )
+        if not any(os.path.exists(source) for source in sources):
+            raise InputError(f"{sources[0]}: there is no such picture, folder or video")
+        if not any(not os.path.isdir(source) or _inside(Path(source)) for source in sources):
+            raise InputError(f"{sources[0]}: {_NONE}")
         return _of_sources(sources)
 
 
@@ -139,7 +145,7 @@ def read_numbers(
             if lacking := [name for name in needed if name not in there]:
                 raise InputError(
                     f"{path}: lacks the columns {', '.join(lacking)}; its first line must name "
-                    f"{','.join(needed)}"
+                    f"{','.join(needed)}, with commas between, and numbers have a point"
                 )
             for row in reader:
                 line = f"{path}, line {reader.line_num}"
@@ -186,12 +192,17 @@ def _of_sources(sources: Sequence[str]) -> Iterator[Frame]:
         if not path.is_dir():
             yield from _of_file(path)
             continue
-        inside = [each for each in path.iterdir() if each.suffix.lower() in (*PICTURES, *VIDEOS)]
+        inside = _inside(path)
         if not inside:
-            problem = f"the folder holds no pictures ({', '.join(PICTURES)})"
-            yield Frame(name=source, problem=problem)
-        for file in sorted(inside, key=_in_number):
+            yield Frame(name=source, problem=_NONE)
+        for file in inside:
             yield from _of_file(file)
+
+
+def _inside(folder: Path) -> list[Path]:
+    """Return a folder's pictures and videos in order."""
+    files = [each for each in folder.iterdir() if each.suffix.lower() in (*PICTURES, *VIDEOS)]
+    return sorted(files, key=_in_number)
 
 
 def _in_number(path: Path) -> tuple[tuple[str, int], ...]:

@@ -13,6 +13,7 @@ anywhere, and the numbers of the intrinsics themselves.
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 import types
 import typing
@@ -37,7 +38,10 @@ PROVENANCE = ("source", "assumed")
 ALTERNATIVES = ("steps", "force_n", "indentation_mm")
 """Ways to give a press its path: one of them replaces the others."""
 
-_FRAMES = "twin reconstruct takes pictures as frames, twin view the folder of a run or of a dataset"
+_FRAMES = (
+    "twin reconstruct takes pictures as frames, twin check REST1 REST2 --scene SCENE two of a "
+    "sensor at rest, twin view the folder of a run or of a dataset"
+)
 _FOLDERS = "twin check and twin view take the folder of a run or of a dataset"
 
 _OTHERS = {
@@ -76,14 +80,19 @@ def read_recipe(path: Path) -> Table:
         )
     if len(data) > 1_000_000:
         raise RecipeError(f"{len(data)} bytes: a recipe is at most 1 MB", str(path))
+    if not data.strip():
+        text = "is empty: begin with base = 'gelpad_press', or let twin scenes --new write a recipe"
+        raise RecipeError(text, str(path))
+    kind = "" if path.suffix == ".toml" else "; a scene or a sweep is a text file, NAME.toml"
     try:
         # editors on Windows write a byte order mark
         table = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as problem:
         text = f"byte {problem.start + 1} is no text in UTF-8; save the file in this encoding"
-        raise RecipeError(f"not valid TOML: {text}", str(path)) from None
+        raise RecipeError(f"not valid TOML: {text}{kind}", str(path)) from None
     except (ValueError, RecursionError) as problem:  # a number of 4,300 digits: a ValueError
-        kind = "" if path.suffix == ".toml" else "; a scene or a sweep is a text file, NAME.toml"
+        if re.search(rb"(?m)^[^#\"'\[{]*=\s*[-+]?\d+,\d", data):
+            kind += "; numbers have a point, such as 0.15, not a comma"
         raise RecipeError(f"not valid TOML: {problem}{kind}", str(path)) from None
     picture = table.get("picture")
     if isinstance(picture, dict) and picture.keys() == {"renderer"} and "renderer" not in table:
@@ -355,7 +364,13 @@ def _resolved(path: Path, overrides: Mapping[str, Any]) -> Scene:
         )
     if "material" not in {*table, *(key.partition(".")[0] for key in overrides)}:
         _require_material(table, overrides, path.stem, path)
+    layers = [*(table.get("markers") or {})]
+    layer_keys = [key for key in overrides if key.startswith("markers.") and key.count(".") == 2]
     for key, value in overrides.items():
+        name = key.split(".")[1] if key in layer_keys else None
+        if name not in (None, *layers) and len(layer_keys) == 1:
+            hint = did_you_mean(str(name), layers, f"its layers are {', '.join(layers) or 'none'}")
+            raise RecipeError(f"{key}: the scene has no markers.{name}; {hint}", "override")
         _override(table, key, value)
     body = table.get("body")
     if isinstance(body, dict) and "recipe" in body:

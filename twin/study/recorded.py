@@ -109,8 +109,8 @@ def reconstruct_recording(
         Frames failed; the others are written.
     """
     # Check everything before the first frame is read, so that a wrong option costs nothing.
-    pictures = Frame.read(sources, sys.stdin.buffer, size, layout)
     _keep_inputs((rest, calibration, *map(Path, sources)), out=out, overlay=overlay)
+    pictures = Frame.read(sources, sys.stdin.buffer, size, layout)
     known = read_calibration(calibration)
     options = _options(known, options)
     bounded = options["push_only"] or options["friction"] is not None

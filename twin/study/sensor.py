@@ -153,11 +153,14 @@ def _make(nominal: Scene) -> _Actual:
     # The print of single markers has a stream of its own.
     noise = Purpose.PRINT.stream(nominal.seed).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)
+    try:
+        markers = MarkerSet.place(made.body, layers, jitter)
+    except RecipeError as problem:
+        MarkerSet.place(nominal.body, nominal.markers)  # where the drawing itself is wrong
+        text = f"{problem}; as drawn they fit: or reduce tolerance.depth_mm or print_mm"
+        raise RecipeError(text) from None
     return _Actual(
-        scene=made,
-        jitter_mm=frozen(jitter),
-        markers=MarkerSet.place(made.body, layers, jitter),
-        prints=_prints(nominal, count),
+        scene=made, jitter_mm=frozen(jitter), markers=markers, prints=_prints(nominal, count)
     )
 
 

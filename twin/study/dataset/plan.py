@@ -53,6 +53,9 @@ MOST_STEPS = 1024
 AUDITS, AUDIT_EVERY = 100, 100
 """One sample in a hundred is computed again, a hundred at most, one at least."""
 
+MISSES = 8
+"""Presses drawn first of which one must touch the body."""
+
 _WORK = "twin.study.dataset.sample:make_shard"
 
 P = TypeVar("P", bound=Part)
@@ -235,6 +238,7 @@ class Plan:
             # a value that is not allowed is the sample's failure, not the dataset's
             if not all(line.startswith(f"{self.load_table}.") for line in problem.problems):
                 raise
+        self._some_touch()
         first = self.sensor_values(range(1))[0]
         ranges = {key: axis for key, axis in self.sensor_axes.items() if isinstance(axis, Uniform)}
         for end in (0.0, 1.0):
@@ -245,6 +249,22 @@ class Plan:
                 at = f"at the {'high' if end else 'low'} ends of the ranges in [vary]: "
                 raise RecipeError([at + line for line in problem.problems]) from None
         _ = self.columns
+
+    def _some_touch(self) -> None:
+        """Refuse presses of which the first ones all miss the nominal body."""
+        from twin.world.contact.probe_gap import Approach
+
+        missed = ""
+        for values in [] if self.scene.tractions else self.press_values(range(MISSES)):
+            try:
+                press = self.press_of(self.press_table(values))
+                assert isinstance(press, Press)
+                Approach.of_press(press, self.scene.body)
+                return
+            except (InputError, RecipeError) as problem:
+                missed = missed or str(problem)
+        if missed:
+            raise RecipeError(f"vary: the first {MISSES} presses all fail, the first: {missed}")
 
 
 def _draws(
