@@ -19,9 +19,10 @@ from small_sweep import TABLE, small
 import twin
 from benchmarks.sweep import ranked
 from twin.errors import RecipeError
-from twin.study.sweep import sweep_run
+from twin.study.sweep import design_rows, sweep_run
+from twin.study.sweep.design_rows import Rows
 from twin.study.sweep.sweep_report import write_report
-from twin.study.sweep.sweep_run import Store, Swept, run_sweep
+from twin.study.sweep.sweep_run import Swept, run_sweep
 
 
 def table(folder: Path) -> dict[str, list[object]]:
@@ -147,19 +148,15 @@ def test_the_best_designs_are_scenes_and_the_page_has_no_outside(finished: Path)
     assert "two_point_mm" not in page.split("<details>")[0], "no key stands in a sentence"
 
 
-def test_a_broken_last_line_is_left_out(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    store.add({"a": {"status": "ok", "error": ""}}, {})
-    with open(tmp_path / "rows.jsonl", "ab") as file:
-        file.write(b'{"key": "b", "row"')
-    again = Store(tmp_path)
-    assert "a" in again
-    again.add({"c": {"status": "ok", "error": ""}}, {"c": b"no picture"})
-    assert "c" in Store(tmp_path)
-    assert Store(tmp_path).pictures("a") is None
-    assert Store(tmp_path).pictures("c") is None
-    (tmp_path / "rows.jsonl").write_text('{"key": "a", "row": {"x": 1}}\n')
-    assert "a" not in Store(tmp_path)
+def test_rows_and_pictures_that_are_damaged_are_none(finished: Path, tmp_path: Path) -> None:
+    lines = (finished / "rows.jsonl").read_bytes().splitlines(keepends=True)
+    wrong = json.dumps({"key": json.loads(lines[4])["key"], "row": {"x": 1}}).encode() + b"\n"
+    (tmp_path / "rows.jsonl").write_bytes(b"".join(lines[:4]) + wrong + lines[5])
+    assert "2 rows computed now" in " ".join(run_sweep(*small(), tmp_path).notes)
+    (tmp_path / "shown").mkdir()
+    (tmp_path / "shown" / "c.npz").write_bytes(b"no picture")
+    assert Rows.shown(tmp_path, "c") is None
+    assert Rows.shown(tmp_path, "a") is None
 
 
 def test_a_full_disk_is_not_kept_as_a_designs_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -168,7 +165,7 @@ def test_a_full_disk_is_not_kept_as_a_designs_failure(tmp_path: Path, monkeypatc
 
     changes = {"axes": {"markers.blue.depth_mm": [2.0]}, "fidelity": ["linear"]}
     with monkeypatch.context() as patch:
-        patch.setattr(sweep_run, "linear", full)
+        patch.setattr(design_rows, "linear", full)
         with pytest.raises(OSError, match="No space left"):
             run_sweep(*small(**changes), tmp_path)
     assert run_sweep(*small(**changes), tmp_path).failed == 0
@@ -253,9 +250,9 @@ def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(tmp_path, mo
         return {}, None
 
     clock = SimpleNamespace(process_time=lambda: cpu[0], perf_counter=lambda: 0.0)
-    monkeypatch.setattr(sweep_run, "time", clock)
-    monkeypatch.setattr(sweep_run, "linear", row)
-    monkeypatch.setattr(sweep_run, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(design_rows, "time", clock)
+    monkeypatch.setattr(design_rows, "linear", row)
+    monkeypatch.setattr(design_rows, "cache_folder", lambda: tmp_path)
     told = sweep_run.estimate(*small(), workers=2)[-1][0]
     assert "6 designs, about 9 s with 2 workers" in told
     assert "2 s of CPU a design (an estimate from 4 designs), 3 s to begin" in told
@@ -271,7 +268,7 @@ def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(tmp_path, mo
         sensors.append(few.sensors)
         return {}, row(scene, None, few, bodies, pushes)[1] or {}
 
-    monkeypatch.setattr(sweep_run, "full", pictured)
+    monkeypatch.setattr(design_rows, "full", pictured)
     told = sweep_run.estimate(*small(fidelity=["full"], sensors=5, confirm={"full": 2}), workers=1)[-1][0]
     assert "6 designs, about 63 s" in told, "all are taken by the first fidelity: 3 s and 6 times 5 times 2"
     assert sensors == [1, 1]

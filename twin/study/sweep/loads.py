@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points
-from twin.errors import ContactError, RecipeError
+from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
@@ -121,6 +121,23 @@ class Pushes:
                 gradient = unit.gradient(points, self.rectangles(load))
                 gradient = gradient / actual.material.youngs_modulus_mpa
             yield Motion(displacement_mm=moved.reshape(-1, 3), gradient=gradient, error=0.0)
+
+    @staticmethod
+    def region_of(sweep: Sweep, scene: Scene) -> tuple[float, float]:
+        """Return the half sides of the presses' region, mm; `InputError` where nothing gives it."""
+        if sweep.loads.region_mm is not None:
+            return sweep.loads.region_mm
+        if scene.reconstruction is None:
+            raise InputError(
+                "loads.region_mm: the scene has no [reconstruction] sites to take it from; give it"
+            )
+        s, t = scene.reconstruction.sites.half_mm
+        return REGION * s, REGION * t
+
+    @classmethod
+    def on_design(cls, sweep: Sweep, scene: Scene, design: Scene) -> Pushes:
+        """Return the pushes on a design's body, in the region that the sweep's scene has."""
+        return cls.of(design.body, sweep.loads, cls.region_of(sweep, scene), sweep.seed)
 
     @classmethod
     def of(cls, body: Body, loads: Sweep.Loads, half_mm: tuple[float, float], seed: int) -> Pushes:

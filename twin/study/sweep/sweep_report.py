@@ -18,9 +18,10 @@ from twin.parts.scene import Scene
 from twin.parts.sweep import METRICS
 from twin.show.html_page import digits, figure, page, small_picture, table, two_columns
 from twin.show.svg_plots import Axes
+from twin.study.sweep.design_rows import Rows
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import closed
-from twin.study.sweep.sweep_run import Store, Swept
+from twin.study.sweep.sweep_run import Swept
 
 MOST = 5
 """Designs that get a scene of their own."""
@@ -474,14 +475,13 @@ def _numbers(values: Sequence[object]) -> Floats | None:
 
 def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> str:
     """Return the best designs (HTML): how to run each, picture and fields."""
-    store = Store(folder)
     designs = done.designs
     two = f"Estimate of two pushes {designs.sweep.loads.pair_mm:g} mm apart"
     cards = []
     for number, file in best.items():
         parts = []
         key = done.keys.get(number)
-        kept = store.pictures(key) if key is not None else None
+        kept = Rows.shown(folder, key) if key is not None else None
         if kept is not None:
             image = (
                 f'<img src="{small_picture(kept["picture"])}" alt="CCD picture of Design {number} '

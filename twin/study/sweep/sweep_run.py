@@ -4,11 +4,8 @@
 a score ranks. Instead of a grid of designs it can search for the best design. `estimate` predicts
 the time, and `check` tests the recipe first.
 
-Only this process writes into the folder, under a lock. Rows are stored: ``rows.jsonl`` grows by
-whole lines, and a kill cuts off one line at most. A row's key is a hash of all that it depends on
-(design, scene, loads, fidelity, versions), so an interrupted or changed sweep reuses the rows that
-are there. A worker knows the sweep by the job's files only; each body that it keeps serves one set
-of patches, so a row depends on nothing but its design.
+Only this process writes into the folder, under a lock; what it computed before is used again
+(`twin.study.sweep.design_rows`).
 
 Why differential evolution (R. Storn and K. Price 1997): axes may be lists, designs may be
 impossible, a generation is a batch for all cores, and SciPy has it. Why L-BFGS-B after it
@@ -19,302 +16,32 @@ better and costs the share `SHARE` of the designs.
 
 from __future__ import annotations
 
-import hashlib
-import io
 import json
 import math
-import os
-import platform
-import time
-import warnings
-import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Progress
-from twin.blas_threads import one_thread
-from twin.errors import InputError, RecipeError, TwinError
-from twin.files import Fact, cache_folder, fact, kept_if_possible, write_json, write_whole
+from twin.errors import RecipeError
+from twin.files import Fact, fact, write_whole
 from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import FIDELITIES, METRICS, Sweep
-from twin.study.batch.draw import SceneTable
 from twin.study.batch.pool import (
-    Job,
     Pool,
     counted,
     only_writer,
-    versions,
 )
 from twin.study.doubts import View
-from twin.study.recipe import load_scene
+from twin.study.sweep.design_rows import Row, Rows
 from twin.study.sweep.designs import Designs
-from twin.study.sweep.fidelities import Shown, closed, full, linear, resolved_by_sites
-from twin.study.sweep.loads import REGION, Bodies, Pushes
-
-Row = dict[str, Any]
-
-FORMAT = 5
-"""Version of the rows: a change of what they hold makes a sweep compute them again."""
-
-CHUNK = {"linear": 16, "full": 1}
-"""Designs of one task: what a kill loses at most, a worker each."""
-
-SHOWN = ("picture", "site_mm", "middle_n", "pair_n")
-"""What is kept of a design's full chain for the page."""
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """A task's rows (status, error, seconds, metrics), npz contents shown, and compliances needed
-    and made."""
-
-    rows: list[Row]
-    shown: list[bytes | None]
-    asked: int
-    made: int
-
-
-class _Workshop:
-    """What a process keeps of one sweep."""
-
-    def __init__(self, folder: Path) -> None:
-        job = json.loads((folder / "sweep.json").read_text())
-        self.sweep = Sweep.model_validate(job["sweep"])
-        self.stage: str = job["stage"]
-        self.chunk: int = job["chunk"]
-        self.scene = load_scene(folder / "scene.toml")
-        columns = {key: [each[key] for each in job["designs"]] for key in job["designs"][0]}
-        self.designs = Designs(self.sweep, self.scene, columns)
-        self.base = SceneTable.of(self.scene)
-        self.bodies = Bodies.of(self.sweep)
-        self._pushes: dict[str, Pushes] = {}
-
-    def numbers(self, task: int) -> range:
-        """Return the numbers of the designs of a task."""
-        return range(task * self.chunk, min((task + 1) * self.chunk, len(self.designs)))
-
-    def row(self, number: int) -> tuple[Row, bytes | None]:
-        """Return a design's row; what goes wrong with it is its status."""
-        started = time.perf_counter()
-        row: Row = {"status": "ok", "error": ""}
-        shown = None
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                figures, shown = self._judge(self.designs.scene_of(number, self.base))
-            row |= figures
-        except RecipeError as problem:
-            row |= {"status": "dropped", "error": "; ".join(problem.problems)}
-        except TwinError as problem:
-            row |= {"status": "failed", "error": str(problem)}
-        except OSError:
-            # this machine's trouble, such as a full disk, and not the design's: its row is no row
-            raise
-        except Exception as problem:  # one design must not end a sweep of thousands
-            row |= {"status": "failed", "error": f"{type(problem).__name__}: {problem}"}
-        row["seconds"] = time.perf_counter() - started
-        return row, shown
-
-    def _judge(self, scene: Scene) -> tuple[dict[str, float], bytes | None]:
-        view = View.of(scene)
-        inside, hidden = view.inside.mean(), view.hidden.mean()
-        if inside < self.sweep.limits.seen:
-            raise RecipeError(f"only {100 * inside:.0f} % of the markers are inside the picture")
-        if hidden > self.sweep.limits.overlap:
-            raise RecipeError(
-                f"{100 * hidden:.0f} % of the markers overlap another one in the picture"
-            )
-        key = json.dumps(scene.body.geometry(), sort_keys=True, default=str)
-        if key not in self._pushes:  # the same patches for every design of one body
-            self._pushes[key] = _pushes(self.sweep, self.scene, scene)
-        if self.stage == "linear":
-            return linear(scene, view, self.sweep, self.bodies, self._pushes[key])[0], None
-        figures, shown = full(scene, self.sweep, self.bodies, self._pushes[key])
-        file = io.BytesIO()
-        np.savez_compressed(file, **shown)  # type: ignore[arg-type]
-        return figures, file.getvalue()
-
-
-_workshop = lru_cache(maxsize=1)(_Workshop)
-
-
-def _make_rows(folder: Path, task: int) -> _Rows:
-    """Return the rows of a task of the job whose files are in ``folder``."""
-    shop = _workshop(folder)
-    before = shop.bodies.asked, shop.bodies.made
-    done = [shop.row(number) for number in shop.numbers(task)]
-    asked, made = shop.bodies.asked - before[0], shop.bodies.made - before[1]
-    return _Rows([row for row, _ in done], [shown for _, shown in done], asked, made)
-
-
-def _job_of(
-    sweep: Sweep, scene: Scene, stage: str, designs: Sequence[dict[str, Any]], chunk: int
-) -> Job:
-    table = {
-        "sweep": sweep.model_dump(mode="json"),
-        "stage": stage,
-        "chunk": chunk,
-        "designs": list(designs),
-    }
-    files = {"sweep.json": json.dumps(table).encode(), "scene.toml": scene.to_toml().encode()}
-    return Job(files=files, work=f"{__name__}:{_make_rows.__name__}")
-
-
-def _pushes(sweep: Sweep, scene: Scene, design: Scene) -> Pushes:
-    return Pushes.of(design.body, sweep.loads, _region(sweep, scene), sweep.seed)
-
-
-def _region(sweep: Sweep, scene: Scene) -> tuple[float, float]:
-    """Return the half sides of the presses' region."""
-    if sweep.loads.region_mm is not None:
-        return sweep.loads.region_mm
-    if scene.reconstruction is None:
-        raise InputError(
-            "loads.region_mm: the scene has no [reconstruction] sites to take it from; give it"
-        )
-    s, t = scene.reconstruction.sites.half_mm
-    return REGION * s, REGION * t
-
-
-class Store(dict[str, Row]):
-    """Finished rows of a sweep's folder by key; one process writes."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__()
-        self._path = folder / "rows.jsonl"
-        self._shown = folder / "shown"
-        whole = 0
-        data = self._path.read_bytes() if self._path.is_file() else b""
-        for line in data.splitlines(keepends=True):
-            try:
-                read = json.loads(line) if line.endswith(b"\n") else {}
-                key, row = read["key"], read["row"]
-                if not isinstance(key, str) or not {"status", "error"} <= row.keys():
-                    break
-            except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-                break
-            self[key] = row
-            whole += len(line)
-        if whole < len(data):
-            with open(self._path, "r+b") as file:
-                file.truncate(whole)
-
-    def add(self, rows: Mapping[str, Row], shown: Mapping[str, bytes]) -> None:
-        """Keep finished rows, and what belongs to them."""
-        for key, data in shown.items():
-            self._shown.mkdir(exist_ok=True)
-            write_whole(self._file(key), data)
-        with open(self._path, "ab") as file:
-            for key, row in rows.items():
-                file.write(json.dumps({"key": key, "row": row}).encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-        self |= rows
-
-    def lose(self, keys: Sequence[str], problem: str) -> None:
-        """Fail rows for this run; they are not written, so the next run tries again."""
-        row: Row = {"status": "failed", "error": problem, "seconds": float("nan")}
-        self |= dict.fromkeys(keys, row)
-
-    def pictures(self, key: str) -> Shown | None:
-        """Return a design's picture and fields; None where they are missing or damaged."""
-        try:
-            with np.load(self._file(key), allow_pickle=False) as kept:
-                return {name: kept[name] for name in SHOWN}
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
-            return None
-
-    def _file(self, key: str) -> Path:
-        return self._shown / f"{key}.npz"
-
-
-@dataclass
-class _Runner:
-    """Runs designs of one sweep and keeps their rows; counts compliances needed and made, and fresh
-    rows."""
-
-    sweep: Sweep
-    scene: Scene
-    folder: Path
-    workers: int = 1
-    scheduler: Pool.Scheduler | None = None
-    progress: Progress | None = None
-    asked: int = 0
-    made: int = 0
-    fresh: int = 0
-
-    def __post_init__(self) -> None:
-        self.store = Store(self.folder)
-        self._identity = _identity(self.sweep, self.scene)
-
-    def rows(self, stage: str, values: Sequence[dict[str, Any]]) -> list[Row]:
-        """Return the rows of designs, computing those that are not there."""
-        keys = [self.key(stage, each) for each in values]
-        missing = {k: v for k, v in zip(keys, values, strict=True) if not self._is_whole(stage, k)}
-        if missing:
-            names = list(missing)
-            chunk = max(1, min(CHUNK[stage], -(-len(names) // self.workers)))
-            tasks = range(-(-len(names) // chunk))
-            job = _job_of(self.sweep, self.scene, stage, list(missing.values()), chunk)
-            started = time.perf_counter()
-            with Pool(min(self.workers, len(tasks)), self.scheduler) as pool:
-                for done in pool.run(job, tasks):
-                    self._keep(done, names[done.number * chunk : (done.number + 1) * chunk])
-                    if self.progress is not None:
-                        ready = sum(key in self.store for key in names)
-                        rate = ready / max(time.perf_counter() - started, 1e-9)
-                        words = f"{stage}: {ready}/{len(names)} designs, {rate:.3g}/s"
-                        self.progress(words, min(0.98, ready / len(names)))
-        return [self.store[key] for key in keys]
-
-    def _keep(self, done: Job.Done, keys: Sequence[str]) -> None:
-        """Keep the rows of a finished task."""
-        if done.problem is not None:
-            self.store.lose(keys, done.problem)
-            return
-        found = done.result
-        shown = {k: data for k, data in zip(keys, found.shown, strict=True) if data is not None}
-        self.store.add(dict(zip(keys, found.rows, strict=True)), shown)
-        self.asked += found.asked
-        self.made += found.made
-        self.fresh += len(keys)
-
-    def _is_whole(self, stage: str, key: str) -> bool:
-        """Return whether a row is there, and of the full chain also what the page shows."""
-        if key not in self.store:
-            return False
-        no_picture = stage != "full" or self.store[key]["status"] != "ok"
-        return no_picture or self.store.pictures(key) is not None
-
-    def key(self, stage: str, values: dict[str, Any]) -> str:
-        """Return the key of a row."""
-        facts = json.dumps([self._identity, stage, values], sort_keys=True)
-        return hashlib.sha256(facts.encode()).hexdigest()[:32]
-
-
-def _identity(sweep: Sweep, scene: Scene) -> str:
-    """Return a hash of everything but the design that rows depend on."""
-    kept = {"seed", "keep_extent", "loads", "limits", "noise_px", "sensors"}
-    facts = [
-        FORMAT,
-        sweep.model_dump(mode="json", include=kept),
-        _region(sweep, scene),
-        list(sweep.axes),
-        list(sweep.derived),
-        SceneTable.of(scene) | {"title": ""},
-        versions(),
-        Bodies.of(sweep).thickness_mm,
-    ]
-    return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
-
+from twin.study.sweep.fidelities import Shown, closed, linear, resolved_by_sites
+from twin.study.sweep.loads import Bodies, Pushes
 
 BEYOND = 0.1
 """What being better than a target counts for, over being worse."""
@@ -420,7 +147,7 @@ class Swept:
         """Return what the page shows of a design by its linear information."""
         designs = self.designs
         design = designs.scene_of(number)
-        pushes = _pushes(designs.sweep, designs.scene, design)
+        pushes = Pushes.on_design(designs.sweep, designs.scene, design)
         return linear(design, View.of(design), designs.sweep, Bodies.of(designs.sweep), pushes)[1]
 
 
@@ -493,12 +220,10 @@ def run_sweep(
     if scheduler is not None:
         scheduler.reach()
     with only_writer(folder, folder / "writer.lock"):
-        runner = _Runner(
-            sweep, scene, folder, workers=workers, scheduler=scheduler, progress=progress
-        )
+        rows = Rows(sweep, scene, folder, workers=workers, scheduler=scheduler, progress=progress)
         if optimise:
-            designs = _optimised(designs, runner)
-        done = _sweep_designs(designs, runner)
+            designs = _optimised(designs, rows)
+        done = _sweep_designs(designs, rows)
         table: dict[str, Any] = {
             "design": np.arange(len(designs)),
             **designs.columns,
@@ -512,7 +237,7 @@ def run_sweep(
     return done
 
 
-def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
+def _sweep_designs(designs: Designs, rows: Rows) -> Swept:
     """Take all designs through the fidelities."""
     sweep = designs.sweep
     count = len(designs)
@@ -536,13 +261,13 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
         order = np.argsort(rank, kind="stable")
         chosen = order[(done.status == "ok")[order]][: most if number else None]
         values = [designs.values(int(n)) for n in chosen]
-        rows = runner.rows(stage, values)
+        found = rows.of(stage, values)
         done.fidelity[chosen] = stage
-        done.status[chosen] = [row["status"] for row in rows]
-        done.error[chosen] = [row["error"] for row in rows]
-        _put(done.columns, stage, chosen, rows, count)
+        done.status[chosen] = [row["status"] for row in found]
+        done.error[chosen] = [row["error"] for row in found]
+        _put(done.columns, stage, chosen, found, count)
         if stage == "full":
-            done.keys = {int(n): runner.key(stage, v) for n, v in zip(chosen, values, strict=True)}
+            done.keys = {int(n): rows.key(stage, v) for n, v in zip(chosen, values, strict=True)}
     done.score = _scores(sweep, done.columns)
     depth = np.array([FIDELITIES.index(f) for f in done.fidelity])
     order = np.lexsort((done.score, -depth))
@@ -560,7 +285,7 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
         )
     if (done.fidelity == "full").any():
         done.warnings += done.designs.scene.imaging[1].turns()
-    done.notes = [*enough, *_notes(done, runner, coarse)]
+    done.notes = [*enough, *_notes(done, rows, coarse)]
     return done
 
 
@@ -610,7 +335,7 @@ def _finer(sites: Sites, wanted_mm: float) -> str:
     )
 
 
-def _notes(done: Swept, runner: _Runner, coarse: Bools) -> list[str]:
+def _notes(done: Swept, rows: Rows, coarse: Bools) -> list[str]:
     """Return how fidelities agree, without widths that the sites limit, and what was reused."""
     notes = []
     for one, other, name in COMPARED:
@@ -629,10 +354,10 @@ def _notes(done: Swept, runner: _Runner, coarse: Bools) -> list[str]:
                 f"{words}: {one} against {other} over {count} designs: {ranks}"
                 + (f", median ratio {ratio:.3g}" if np.isfinite(ratio) else "")
             )
-    if runner.fresh:
+    if rows.fresh:
         notes.append(
-            f"{runner.fresh} rows computed now; a body's compliance was needed {runner.asked} "
-            f"times and prepared {runner.made} times"
+            f"{rows.fresh} rows computed now; a body's compliance was needed {rows.asked} "
+            f"times and prepared {rows.made} times"
         )
     return notes
 
@@ -667,7 +392,7 @@ def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
     return np.asarray(np.sum(parts, axis=0))
 
 
-def _optimised(designs: Designs, runner: _Runner) -> Designs:
+def _optimised(designs: Designs, rows: Rows) -> Designs:
     """Return the designs that a search within the sweep's axes evaluated, ``count`` of them at
     most."""
     from scipy.optimize import differential_evolution
@@ -681,7 +406,7 @@ def _optimised(designs: Designs, runner: _Runner) -> Designs:
     def judged(u: Floats) -> Floats:
         points = np.clip(np.atleast_2d(np.asarray(u).T), 0.0, 1.0).reshape(-1, len(sweep.axes))
         evaluated.append(points)
-        return _scored(sweep, Designs.at(sweep, scene, points), stage, runner)
+        return _scored(sweep, Designs.at(sweep, scene, points), stage, rows)
 
     found = differential_evolution(
         judged,
@@ -719,16 +444,16 @@ def _descend(
         minimize(batch, start, jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * width)
 
 
-def _scored(sweep: Sweep, designs: Designs, stage: str, runner: _Runner) -> Floats:
+def _scored(sweep: Sweep, designs: Designs, stage: str, rows: Rows) -> Floats:
     """Return (m,) finite scores of designs, impossible ones being worst."""
     found, reason = closed(designs)
     columns = {f"closed_{k}": v for k, v in found.items()}
     ok = reason == ""
     if stage == "linear":
         numbers = np.flatnonzero(ok)
-        rows = runner.rows("linear", [designs.values(int(n)) for n in numbers])
-        ok[numbers] = [row["status"] == "ok" for row in rows]
-        _put(columns, "linear", numbers, rows, len(designs))
+        made = rows.of("linear", [designs.values(int(n)) for n in numbers])
+        ok[numbers] = [row["status"] == "ok" for row in made]
+        _put(columns, "linear", numbers, made, len(designs))
     score = _scores(sweep, columns)
     return np.where(ok & np.isfinite(score), np.minimum(score, WORST / 2), WORST)
 
@@ -744,7 +469,7 @@ def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[Fact]:
         most = sweep.confirm.linear if stage == "linear" else sweep.confirm.full
         left = min(left, most) if most and stage != sweep.ladder[0] else left
         tried = good[:: max(1, len(good) // TRIED)][: 1 if stage == "full" else TRIED]
-        each, start, rows, how = _measured(
+        each, start, rows, how = Rows.cost(
             sweep, scene, stage, [designs.values(int(n)) for n in tried]
         )
         text = (
@@ -761,35 +486,6 @@ def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[Fact]:
         ok = np.array([row["status"] == "ok" for row in rows])
         good = tried[ok] if ok.any() else good
     return facts
-
-
-def _measured(
-    sweep: Sweep, scene: Scene, stage: str, tried: list[dict[str, Any]]
-) -> tuple[float, float, list[Row], str]:
-    """Return CPU seconds of a design and of the start, the rows of the designs tried and how, from
-    the cache if it has them."""
-    # Pictures take as long for every made sensor of a design: one sensor stands for all.
-    times = sweep.sensors if stage == "full" else 1
-    few = sweep.model_copy(update={"sensors": sweep.sensors // times})
-    job = _job_of(few, scene, stage, [tried[0], *tried], 1)  # the first twice: it begins
-    how = f"an estimate from {counted(len(tried), 'design')}"
-    made_by = json.dumps([job.name, versions(), platform.node()])
-    kept = cache_folder() / f"sweep-cost-{hashlib.sha256(made_by.encode()).hexdigest()[:32]}.json"
-    with suppress(OSError, ValueError, KeyError):
-        found = json.loads(kept.read_text())
-        return found["each_s"], found["begin_s"], found["rows"], f"{how}, made before"
-    with one_thread(), job.unpacked() as folder:
-        began = time.process_time()
-        _make_rows(Path(folder), 0)
-        started = time.process_time()
-        rows = [_make_rows(Path(folder), k).rows[0] for k in range(1, 1 + len(tried))]
-        spent = (time.process_time() - started) / len(rows)
-        begin = max(started - began - spent, 0.0)
-        each = times * spent
-    if all(row["status"] == "ok" for row in rows):
-        with kept_if_possible():
-            write_json(kept, {"each_s": each, "begin_s": begin, "rows": rows})
-    return each, begin, rows, how
 
 
 def _overview(sweep: Sweep, scene: Scene) -> tuple[list[Fact], Ints, Designs]:

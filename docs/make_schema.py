@@ -1,6 +1,6 @@
 """The schema of scene files as JSON, for editors.
 
-``python -m twin.study.schema`` writes scenes/scene.schema.json. It describes a file, not a resolved
+``python docs/make_schema.py`` writes scenes/scene.schema.json. It describes a file, not a resolved
 scene: ``base`` and ``body.recipe`` may supply anything, so nothing is required, and a step's forces
 may be given as a table.
 """
@@ -32,8 +32,7 @@ def _schema_text() -> str:
         schema["$defs"][name]["properties"]["recipe"] = recipe
     schema["$defs"]["Camera"]["properties"]["intrinsics"] = {
         "type": "string",
-        "description": "file of size, focal length, principal point and distortion as OpenCV "
-        "writes it (YAML, JSON)",
+        "description": "file of size, focal length, principal point and distortion as OpenCV writes it (YAML, JSON)",
     }
     schema["properties"]["body"] = {"anyOf": schema["properties"]["body"]["oneOf"]}
     axes = {
