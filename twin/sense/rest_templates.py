@@ -42,6 +42,7 @@ from twin.sense.template import (
     SHAPE,
     SLOPES,
     Templates,
+    disc,
     disc_offsets,
     gather,
     slope_terms,
@@ -510,7 +511,7 @@ def _covered(picture: Picture, marks: Pixels, radius: float) -> Bools:
     covered = np.zeros(size, np.bool_)
     step = np.array([1, size[1]])
     covered.ravel()[(middle @ step)[:, None] + offset @ step] = True
-    return covered[margin:-margin, margin:-margin]
+    return np.ascontiguousarray(covered[margin:-margin, margin:-margin])
 
 
 def _ground_slopes(
@@ -682,7 +683,7 @@ def _moved_by_ground(
     shape = templates.usual_shape
     radius, blur = templates.usual_radius_px, float(shape[6])
     height, width = picture.shape[:2]
-    offset = disc_offsets(radius + blur)
+    offset, runs = disc_offsets(radius + blur), disc(int((radius + blur) ** 2))[1]
     moved, by_noise = np.full((len(places), 4), np.nan), np.full((len(places), 2), np.nan)
     # Places inside the picture, and the ground's slopes there, which are in the model.
     rows = np.flatnonzero(np.isfinite(places[:, 0]))
@@ -695,7 +696,8 @@ def _moved_by_ground(
     edge = (radius, blur, float(shape[7]))
     least = LEAST_FREE * float(templates.sites.mean())
     solved, variance = np.full((len(rows), 4), np.nan), np.full((len(rows), 2), np.nan)
-    _fit_ground(*seen, middle, middle - places[rows], slope, offset, edge, least, solved, variance)
+    at = (middle, middle - places[rows], slope, offset, runs)
+    _fit_ground(*seen, *at, edge, least, solved, variance)
     moved[rows] = solved
     by_noise[rows] = templates.usual_noise * variance
     return moved, by_noise
@@ -703,7 +705,7 @@ def _moved_by_ground(
 
 @njit(cache=True, fastmath=True)
 def _fit_ground(
-    image, own, sites, covered, middle, apart, slope, offset, edge, least, moved, variance
+    image, own, sites, covered, middle, apart, slope, offset, runs, edge, least, moved, variance
 ):
     """Fill how far the ground has ``moved`` (q, 4) a marker at each place, and the ``variance``
     (q, 2) of that by unit noise, where more than the share ``least`` of its edge is not ``covered``
@@ -716,36 +718,50 @@ def _fit_ground(
     (radius, blur, level), (red, green, blue, _) = edge, own
     count, steepest = len(offset), 15 / 16 * level / blur
     x, y, value, use, across, along, hides = np.empty((7, count))
+    flat, hidden, width, whole = image.reshape(-1), covered.reshape(-1), image.shape[1], 0.0
+    last_x, last_y = np.inf, np.inf
     for k in range(len(middle)):
-        n, mean = 0.0, 0.0
         column, row, right, down = middle[k, 0], middle[k, 1], apart[k, 0], apart[k, 1]
         slope_x, slope_y = slope[k, 0], slope[k, 1]
+        done = 0
+        for i in range(len(runs)):
+            line, first, number = row + runs[i, 0], column + runs[i, 1], runs[i, 2]
+            start = line * width + first
+            pixels = flat[3 * start : 3 * (start + number)]
+            behind = hidden[start : start + number]
+            site, other = sites[line & 1, first & 1], sites[line & 1, ~first & 1]
+            for p in range(number):
+                at = done + p
+                value[at] = (
+                    red * pixels[3 * p] + green * pixels[3 * p + 1] + blue * pixels[3 * p + 2]
+                )
+                use[at] = (other if p & 1 else site) * (1.0 - behind[p])
+            done += number
+        if right != last_x or down != last_y:  # at rest all places lie alike on the pixels
+            last_x, last_y, whole = right, down, 0.0
+            for p in range(count):
+                x[p], y[p] = offset[p, 0] + right, offset[p, 1] + down
+            for p in range(count):
+                far = math.sqrt(x[p] * x[p] + y[p] * y[p])
+                depth = min(max((radius - far) / blur, -1.0), 1.0)
+                square = depth * depth
+                hides[p] = 0.5 + depth * (15 / 16 - square * (10 / 16 - square * 3 / 16))
+                steep = steepest * (1.0 - square) ** 2 / max(far, 0.5)
+                across[p], along[p] = steep * x[p], steep * y[p]
+                whole += across[p] * across[p]
+        # the information, of what is in sight; of all along x it is the whole
+        n, mean, xx, xy, x1, yy, y1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for p in range(count):
-            i, j = row + offset[p, 1], column + offset[p, 0]
-            x[p], y[p] = offset[p, 0] + right, offset[p, 1] + down
-            value[p] = red * image[i, j, 0] + green * image[i, j, 1] + blue * image[i, j, 2]
-            use[p] = 0.0 if covered[i, j] else sites[i & 1, j & 1]
-        for p in range(count):
+            counts, gx, gy = use[p], across[p], along[p]
             value[p] -= slope_x * x[p] + slope_y * y[p]
-            n += use[p]
-            mean += use[p] * value[p]
+            n += counts
+            mean += counts * value[p]
+            xx += counts * gx * gx
+            xy += counts * gx * gy
+            x1 += counts * gx
+            yy += counts * gy * gy
+            y1 += counts * gy
         mean /= max(n, 1.0)
-        # the information, of what is in sight and of all along x
-        xx, xy, x1, yy, y1, whole = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for p in range(count):
-            far = math.sqrt(x[p] * x[p] + y[p] * y[p])
-            depth = min(max((radius - far) / blur, -1.0), 1.0)
-            square = depth * depth
-            hides[p] = 0.5 + depth * (15 / 16 - square * (10 / 16 - square * 3 / 16))
-            steep = steepest * (1.0 - square) ** 2 / max(far, 0.5)
-            gx, gy = steep * x[p], steep * y[p]
-            across[p], along[p] = gx, gy
-            whole += gx * gx
-            xx += use[p] * gx * gx
-            xy += use[p] * gx * gy
-            x1 += use[p] * gx
-            yy += use[p] * gy * gy
-            y1 += use[p] * gy
         if min(xx, yy) <= least * whole:
             continue
         # two rows of the inverse matrix
