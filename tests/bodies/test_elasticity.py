@@ -20,7 +20,7 @@ from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import require_on_surface, tile
-from twin.world.elasticity.error_law import missed_at_edges
+from twin.world.elasticity.error_law import missed_by_mesh
 from twin.world.mesh.body_mesh import body_mesh, build_mesh, fewer
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality
@@ -186,7 +186,7 @@ def test_beside_a_dent_errors_are_of_the_faces_that_are_there(tmp_path):
     for x in np.linspace(-3.0, 3.0, 61):
         load = tile(Traction.rectangle((x, 0.3), (0.2, 0.2), (0, 0, 1)), solid)
         require_on_surface(solid, load, half_space=False)
-        missed = missed_at_edges(solid, np.array([[x, 0.3, 0.0]]), load, np.array([4.0]))
+        missed = missed_by_mesh(solid, np.array([[x, 0.3, 0.0]]), load, np.array([4.0]))
         assert np.linalg.norm(missed) < 0.05  # mm, of E = 1 MPa
 
 

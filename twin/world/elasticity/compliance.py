@@ -43,7 +43,7 @@ from twin.world.elasticity.error_law import (
     EXPECTED,
     error_shares,
     expected_error,
-    missed_at_edges,
+    missed_by_mesh,
 )
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.interpolated import (
@@ -445,7 +445,7 @@ class Compliance:
             parts.append(rough * smooth)
         if table is None and not direct:
             edge_mm = self._locator.edges(load.centre_mm)
-            parts.append(missed_at_edges(self.body, known.points, load, edge_mm) / self._modulus)
+            parts.append(missed_by_mesh(self.body, known.points, load, edge_mm) / self._modulus)
         return moved, parts
 
     def _rough(self, known: PointCache, load: Rectangles, w: Points) -> Points:
