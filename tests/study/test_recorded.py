@@ -518,6 +518,7 @@ def recording(tmp_path_factory):
         (HEAD + "rest.png,0,0,9,0,0,1\n", "press 1 at x_mm = 0, y_mm = 0, z_mm = 9 misses"),
         (HEAD + "rest.png,0,0,0\n", "line 2: fx_n is missing"),
         (HEAD + "rest.png,0,0,0,0,0,0\n", "no press has a force; give what the load cell reads"),
+        (HEAD + "rest.png,0,0,0,0.1,0,-1\nrest.png,1,0,0,0,0,-3\n", "every press pulls .the largest by fz_n = -3 N"),
         (HEAD + "small.bmp,0,0,0,0,0,1\n", "small.bmp: the picture is 64x48 px, the rest picture 640x480"),
     ],
 )

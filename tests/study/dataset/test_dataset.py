@@ -417,7 +417,7 @@ def test_time_is_estimated_from_cpu_seconds_of_samples_and_sensors(monkeypatch: 
         return work
 
     monkeypatch.setattr(create, "time", SimpleNamespace(process_time=lambda: cpu[0]))
-    monkeypatch.setattr(create, "make_shard", takes(14.0, 8.0, 11.0))  # begins, goes on, goes on with a new sensor
+    monkeypatch.setattr(create, "make_shard", takes(12.0, 6.0, 5.0))  # begins, three samples, one of a new sensor
     monkeypatch.setattr(create, "audit_sample", takes(2.0))
     told, records = zip(*create.estimate(small_scene(columns=("force_n",)), 300, workers=2), strict=True)
     assert "300 on 100 sensors, in 150 files" in told[0]

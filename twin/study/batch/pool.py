@@ -410,7 +410,7 @@ def _connected(scheduler: Pool.Scheduler) -> Any:
         return Client(
             scheduler.address, timeout=PATIENCE_S, direct_to_workers=False, security=security
         )
-    except (OSError, TimeoutError, ValueError) as problem:
+    except (OSError, TimeoutError, ValueError, MemoryError) as problem:  # memory: another protocol
         raise InputError(
             f"--scheduler {scheduler.address}: no dask scheduler replies there "
             f"({type(problem).__name__}); start one with dask scheduler, or leave the option out "

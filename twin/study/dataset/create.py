@@ -34,8 +34,8 @@ from twin.study.dataset.prepare import prepare
 from twin.study.dataset.reader import DatasetReader
 from twin.study.dataset.sample import audit_sample, make_shard
 
-TRIED = 4
-"""Samples of an estimate."""
+TRIED = 3
+"""Samples of an estimate, after as many that warm up."""
 
 T = TypeVar("T")
 
@@ -409,26 +409,27 @@ def estimate(
     and their CPU seconds, as the clock counts other work on the machine, too; `RecipeError` where
     the scene can't be sampled."""
     plan = Plan(scene, samples)
-    plan.check()
     sensors = plan.sensor_of(samples - 1) + 1
     audits = len(plan.audited())
-    cut = {"samples_per_shard": TRIED, "samples_per_sensor": 2 * TRIED}
+    # Random draws cost as much, without loading scipy.stats for Sobol' sequences.
+    cut = {"samples_per_shard": TRIED, "samples_per_sensor": 2 * TRIED, "sampling": "random"}
     tried = scene.model_copy(update={"dataset": scene.dataset.model_copy(update=cut)})
+    Plan(tried, samples).check()
     with tempfile.TemporaryDirectory(prefix="twin-estimate-") as name, one_thread():
         places = Places(Path(name))
         places.meta.mkdir()
-        prepare(Plan(tried, 3 * TRIED), places, progress)
+        prepare(Plan(tried, 2 * TRIED + 1), places, progress)
         with places.job.unpacked() as folder:
             first, begun = _timed(make_shard, folder, 0)
             shard, made = _timed(make_shard, folder, 1)
             _, again = _timed(audit_sample, folder, TRIED)
-            another = _timed(make_shard, folder, 2)[1] if sensors > 1 else made
+            another = _timed(make_shard, folder, 2)[1] if sensors > 1 else 0.0
         size = float(sum(path.stat().st_size for path in places.meta.iterdir()))
     if progress is not None:
         progress("done", 1.0)
     each = made / TRIED
     start = max(begun - made, 0.0)
-    sensor = max(another - made, 0.0)
+    sensor = max(another - each, 0.0)
     shared = samples * each + (sensors - 1) * sensor + audits * again
     size += len(shard.samples) / TRIED * samples + len(first.sensors or b"") * sensors
     rows = ""
