@@ -131,7 +131,10 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["check", "gelpad_press", "-s", "tolerance.depth_mm=5"], "as drawn they fit: or reduce tolerance.depth_mm"),
         (["check", "gelpad_press", "-s", "reconstruction.sites.pitch_mm=10"], "sites: some lie outside the sensing"),
         (["check", "gelpad_press", "-s", "markers.Dots.depth_mm=1"], "no markers.Dots; did you mean 'dots'?\n"),
-        (["check", "kamiyama_pillar", "-s", "markers.dots.depth_mm=1"], "markers.dots; its layers are red, blue"),
+        (
+            ["check", "kamiyama_pillar", "-s", "markers.dots.depth_mm=1", "-s", "markers.red.depth_mm=2"],
+            "markers.dots; its layers are red, blue",
+        ),
         (
             ["dataset", "OFF.toml", "--samples", "3", "--dry-run"],
             "vary: the first 8 presses all fail, the first: the sphere at",

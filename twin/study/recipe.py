@@ -365,12 +365,13 @@ def _resolved(path: Path, overrides: Mapping[str, Any]) -> Scene:
     if "material" not in {*table, *(key.partition(".")[0] for key in overrides)}:
         _require_material(table, overrides, path.stem, path)
     layers = [*(table.get("markers") or {})]
-    layer_keys = [key for key in overrides if key.startswith("markers.") and key.count(".") == 2]
+    added = [each for each in overrides if re.fullmatch(r"markers\.[^.]+\.[^.]+", each)]
+    added = [each for each in added if each.split(".")[1] not in layers]
+    if len(added) == 1:  # a new layer needs more
+        name = added[0].split(".")[1]
+        hint = did_you_mean(name, layers, f"its layers are {', '.join(layers) or 'none'}")
+        raise RecipeError(f"{added[0]}: the scene has no markers.{name}; {hint}", "override")
     for key, value in overrides.items():
-        name = key.split(".")[1] if key in layer_keys else None
-        if name not in (None, *layers) and len(layer_keys) == 1:
-            hint = did_you_mean(str(name), layers, f"its layers are {', '.join(layers) or 'none'}")
-            raise RecipeError(f"{key}: the scene has no markers.{name}; {hint}", "override")
         _override(table, key, value)
     body = table.get("body")
     if isinstance(body, dict) and "recipe" in body:
