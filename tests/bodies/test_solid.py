@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from standard_bodies import write_stl
-from stl_shapes import HELD_ABOVE, SENSING_BELOW, box, bracket, solid_box, solid_bracket, solid_dome
+from stl_shapes import HELD_ABOVE, SENSING_BELOW, box, bracket, prism, solid_box, solid_bracket, solid_dome
 
 from twin.errors import RecipeError
 from twin.parts.body import Solid
@@ -77,6 +77,17 @@ def test_a_region_is_picked_by_plane_box_or_normal(tmp_path, held):
     assert solid.pieces == ("sensing", "side_1", "side_2", "side_3", "side_4", "held")
     assert solid.held_pieces == (5,)
     assert_allclose(solid.piece_distances(np.array([[1.0, 2, 3]]))[0, [0, 5]], [3, 7])
+
+
+def test_a_wall_of_a_slot_is_no_sensing_surface(tmp_path):
+    """The body counted as curved, and its coarsest mesh, with which it was compared, was never sound by a hole."""
+    side = [(-6, 0), (6, 0), (6, 4), (0, 4), (0, 8), (6, 8), (6, 12), (-6, 12)]
+    slotted = prism(side, [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 7), (4, 5, 6), (4, 6, 7)], 10.0)
+    file = write_stl(tmp_path / "slotted.stl", (slotted[:, :, [0, 2, 1]] - [0.0, 5.0, 0.0])[:, ::-1])
+    held = {"plane": {"point_mm": (0, 0, 12), "normal": (0, 0, 1)}}
+    solid = Solid(file=str(file), held=held, sensing={"normal": (0, 0, -1), "within_deg": 5})
+    assert solid.is_flat
+    assert_allclose(solid.piece_distances(np.array([[3.0, 0, 9]]))[0, 0], 9)
 
 
 def test_what_is_held_may_have_edges(tmp_path):

@@ -293,6 +293,9 @@ _UPRIGHT = (
     "z points from the pressed surface, at z = 0, into the body: turn it in CAD if it does not"
 )
 
+_STEEP = 0.1
+"""Least share of a triangle that faces -z for it to be looked for from there."""
+
 
 class Solid(StlFile, Body):
     """The inside of a closed STL surface.
@@ -433,8 +436,21 @@ class Solid(StlFile, Body):
 
     @cached_property
     def _pressed(self) -> Bools:
-        """(m,) which triangles may be pressed."""
-        return self.sensing.picks(self._corners)
+        """(m,) which triangles may be pressed: the chosen ones, but those that face -z behind
+        others, such as the walls of a hole."""
+        from twin.geometry.pieces import TriangleTree
+
+        chosen, corners = self.sensing.picks(self._corners), self._corners
+        facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        steep = facing[:, 2] > -_STEEP * np.linalg.norm(facing, axis=1)
+        asked = np.flatnonzero(chosen & ~steep)
+        middle = corners[asked].mean(axis=1)
+        along = np.broadcast_to([0.0, 0.0, 1.0], middle.shape)
+        first = TriangleTree(corners).first_along(middle * [1, 1, 0], along)[1]
+        hidden = asked[first < middle[:, 2] - _ORIGIN_MM]
+        if len(hidden) < chosen.sum():
+            chosen[hidden] = False
+        return chosen
 
     @cached_property
     def _pieces(self) -> Pieces:
@@ -551,7 +567,8 @@ class Solid(StlFile, Body):
     def geometry(self) -> dict[str, Any]:
         kept = self.model_dump(include={"shape", "sha256", "origin_mm"})
         regions = self.model_dump(include={"held", "sensing"}, exclude_defaults=True)
-        return kept | regions
+        hidden = int((self.sensing.picks(self._corners) & ~self._pressed).sum())
+        return kept | regions | ({"hidden": hidden} if hidden else {})
 
     def piece_distances(self, points: Points) -> Floats:
         return self._pieces.distances_and_normals(points)[0]
