@@ -28,7 +28,7 @@ STAGES = (
     "sweep",
     "budget",
 )
-STUDIES = ("calibrations", "fingers", "inclusions", "live")
+STUDIES = ("calibrations", "fingers", "finite_strain", "inclusions", "live")
 """What is run when it is named: minutes of CPU time, a quarter of an hour for calibrations, for figures that have no
 accuracy knob."""
 

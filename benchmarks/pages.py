@@ -367,28 +367,25 @@ def _validity() -> dict[str, str]:
             for row in presses
             if row["push_n"] in _least_and_most(row["case"], presses)
         ],
-        "Largest error per strain, for two strains that a law could use: from least to most over all rows": [
-            _range(name, [row for row in presses if (row["contact_over_probe_radius"] is None) == flat])
-            for flat, name in ((False, "sphere"), (True, "flat"))
-        ],
     }
     last = f"Contact counted on the study's own meshes. {measured_on('validity')}"
-    return {"results": f"\n{titled(tables)}\n\n{last}\n"}
+    found = {"results": f"\n{titled(tables)}\n\n{last}\n"}
+    for mark, whether in (("slabs", True), ("bodies", False)):
+        rows = [row for row in stored("finite_strain") if row["body, mm"].startswith("block") == whether]
+        over = [row["stated, %"] / row["left, %"] for row in rows]
+        silent = sum(row["stated, %"] + row["NGSolve off, %"] < row["left, %"] for row in rows)
+        found[mark] = (
+            f"\n{folded(f'{len(rows)} presses', table(rows))}\n\nStated over left: {min(over):.2g} to {max(over):.2g}, "
+            f"median {median(over):.2g}; {silent} of {len(rows)} leave more than is stated. "
+            f"{measured_on('finite_strain')}\n"
+        )
+    return found
 
 
 def _least_and_most(case: str, rows: list[Row]) -> tuple[float, float]:
     """Return the least and the largest push of a press."""
     pushes = [row["push_n"] for row in rows if row["case"] == case]
     return min(pushes), max(pushes)
-
-
-def _range(name: str, rows: list[Row]) -> Row:
-    """Return the least and largest error per strain: what a law of one factor has to span."""
-    line: Row = {"probe": name, "rows": len(rows)}
-    for what, key in (("p/E", "mean_strain"), ("at a marker", "strain_markers")):
-        ratio = [row["error_max"] / row[key] for row in rows]
-        line[what] = f"{min(ratio):.2g} to {max(ratio):.2g}"
-    return line
 
 
 # error budget: stage budget

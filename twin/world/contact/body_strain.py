@@ -83,26 +83,31 @@ _LEAST_RIM, _COARSE_RIM = 0.1, 0.2
 """Least radius of a flat face's rim over its half width, and on the coarser mesh. On rubber thicker
 than the face is wide what linear theory leaves out hardly depends on it (docs/validity.md)."""
 
-_TOLERANCE = 1.5e-3
+_TOLERANCE = Share(indentation=5e-4, markers=1.5e-3)
 """What Newton's steps leave, and both meshes miss, over the largest displacement."""
 
 
 @dataclass(frozen=True)
 class _Shares:
     """The least error over what linear theory leaves out at a point, its growth per contact radius
-    away from the contact's middle, and the error over the change to the coarser mesh."""
+    away from the contact's middle, the error over the change to the coarser mesh, and the
+    indentation's error over what linear theory leaves out of the displacement."""
 
     near: float
     growth: float
     change: float
+    sunk: float
 
 
-_ROUND = _Shares(0.025, 0.08, 0.4)
-_SHARP = _Shares(0.11, 0.11, 0.7)
-_ROUNDED = _Shares(0.11, 0.11, 1.2)
-"""Under spheres, under cones and flat faces, and under faces that are solved with a rounder rim
-(docs/validity.md): from mesh to mesh of one body the change scatters four times as much as the
-error."""
+_ROUND = _Shares(0.025, 0.08, 0.4, 0.04)
+_SHARP = _Shares(0.11, 0.11, 0.7, 0.04)
+_ROUNDED = _Shares(0.11, 0.11, 1.2, 0.04)
+_POINTED = _Shares(0.22, 0.22, 0.7, 0.08)
+"""Under spheres, under cones and flat faces, under faces that are solved with a rounder rim, and
+under cones on rubber that stiffens where their tips strain it most (docs/validity.md): from mesh to
+mesh of one body the change scatters four times as much as the error."""
+
+_DO_NOT_STIFFEN = "neo_hookean", "mooney_rivlin"
 
 _SLIPPING = 0.8
 """The largest share of a flat face with friction that may slip: points come under its front as it
@@ -180,8 +185,11 @@ class BodyStrain(FiniteStrain):
         self._shares = _ROUND if round_ else _SHARP
         if any(one is not made for one, made in zip(sharp, approaches, strict=True)):
             self._shares = _ROUNDED
+        if material.law not in _DO_NOT_STIFFEN and any(isinstance(p.probe, Cone) for p in presses):
+            self._shares = _POINTED
         self._first = _COARSE if coarse else _FINE
-        super().__init__(axes, state, watched, self._shares.change, _TOLERANCE)
+        least = _TOLERANCE, Share(indentation=self._shares.sunk)
+        super().__init__(axes, state, watched, self._shares.change, least)
 
     @staticmethod
     def check(press: Press, body: Body, material: Material) -> None:
@@ -198,7 +206,7 @@ class BodyStrain(FiniteStrain):
         away = [np.linalg.norm(self._watched - middle, axis=1) / size for middle, size in places]
         shares = self._shares.near + self._shares.growth * np.min(away, axis=0)
         least = MixedRubber.largest(shares[:, None] * self.displacement(self._watched))
-        markers = max(found.markers, least / self._largest_mm + _TOLERANCE)
+        markers = max(found.markers, least / self._largest_mm + _TOLERANCE.markers)
         found = replace(found, markers=markers)
         if not self._rubs:
             return found

@@ -69,8 +69,8 @@ def measured_linearity(
 ) -> Validity:
     """Return a state's validity with how far linear theory is off under this very press.
 
-    Neo-Hookean rubber is pressed on a coarse mesh: about .3 s on a slab of revolution, 1 to 3 s
-    under a sphere on a curved body. Where that can't be done, or takes longer, the estimate stays,
+    Neo-Hookean rubber is pressed on a coarse mesh: about .3 s on a slab of revolution, 1 s under
+    a sphere on a curved body. Where that can't be done, or takes longer, the estimate stays,
     and `Validity.linearisation_basis` says why.
     """
     validity = state.validity

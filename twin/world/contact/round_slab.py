@@ -89,8 +89,7 @@ largest share of the force beyond them."""
 _COARSER, _FINER = 0.7, 1.4
 _UNDER_RIM = 1.5
 _ERROR_OVER_CHANGE = 1.5
-_LEAST_ERROR = 1e-5
-_LEAST_SHARES = Share(indentation=0.004, markers=0.001)
+_LEAST = Share(indentation=1e-5, markers=1e-5), Share(indentation=0.004, markers=0.001)
 """How many times as many elements the mesh has that solves for the size alone, or shows what a
 rounder rim costs, and the one that estimates the error otherwise; and one under a cylinder, where
 meshes may otherwise miss the same 0.05 %; error over the change to that mesh; and what is added: so
@@ -135,8 +134,9 @@ class FiniteStrain:
         The press by linear theory.
     watched
         (n, 3) points inside the body for which the error counts, mm.
-    over_change, least_error
-        The error over the change to another mesh, and what is added to it.
+    over_change, least
+        The error over the change to another mesh; what is added to it; and what more, over what
+        linear theory leaves out.
 
     Attributes
     ----------
@@ -175,13 +175,13 @@ class FiniteStrain:
         state: ContactState,
         watched: Points,
         over_change: float,
-        least_error: float,
+        least: tuple[Share, Share],
     ) -> None:
         self.axes = axes
         self._state = state
         self._watched = watched
         self._over_change = over_change
-        self._least_error = least_error
+        self._least = least
         self._pair = self._solved(False)
         self.moved, self.wider = self._pair.moved, self._pair.wider
 
@@ -226,16 +226,15 @@ class FiniteStrain:
 
     @cached_property
     def error(self) -> Share:
-        """How far this may be off, over the linear displacement: what another mesh changes."""
+        """How far this may be off, over the linear displacement: what another mesh changes, and
+        what meshes have in common."""
         other = self._other
         missed = other.read(self._watched, other.change)[0] - self.displacement(self._watched)
         deep = np.array([one.indentation_mm for one in (self._state, *self._state.also)])
         sunk = float(np.max(np.abs((other.moved - self.moved)[:, Z]) / deep))
-        return Share(
-            indentation=self._over_change * sunk + self._least_error,
-            markers=self._over_change * (MixedRubber.largest(missed) / self._largest_mm)
-            + self._least_error,
-        )
+        change = Share(indentation=sunk, markers=MixedRubber.largest(missed) / self._largest_mm)
+        least, shares = self._least
+        return change.times(self._over_change).plus(least).plus(shares.times(self.linear_error))
 
 
 class SlabStrain(FiniteStrain):
@@ -295,12 +294,7 @@ class SlabStrain(FiniteStrain):
 
         # The other slab ends at the block's nearest side.
         self._radii_mm = (math.sqrt(across * along / math.pi), _to_side_mm(body, place))
-        super().__init__((approach.axes,), state, watched, _ERROR_OVER_CHANGE, _LEAST_ERROR)
-
-    @cached_property
-    def error(self) -> Share:
-        """How far this may be off: what a finer mesh changes, and shares of what this adds."""
-        return super().error.plus(_LEAST_SHARES.times(self.linear_error))
+        super().__init__((approach.axes,), state, watched, _ERROR_OVER_CHANGE, _LEAST)
 
     @staticmethod
     def solves(
