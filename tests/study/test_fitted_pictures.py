@@ -157,7 +157,7 @@ def test_a_cover_of_the_recipe_is_part_of_the_fitted_design():
     square = Rectangles.on_surface(scene.body, np.zeros((1, 2)), 0.5, "places")
     sensor = Sensor(scene)
     covered = sensor.nominal_compliance.to_points(sensor.nominal_markers.points, square)
-    for cover, apart in ((sensor.nominal_compliance, 1e-6), (None, None)):
+    for cover, apart in ((sensor.nominal_compliance.to_points, 1e-6), (None, None)):
         twin = FittedDesign(scene, square, np.full(1, 0.9), cover)
         found = twin.compliance(np.zeros(len(twin.names)), sensor.nominal_markers.points, square)
         off = np.linalg.norm(found - covered) / np.linalg.norm(covered)

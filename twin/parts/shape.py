@@ -24,6 +24,9 @@ from twin.parts.part import Part
 _FORGIVEN = 1e-6
 """How far outside the body, in mm, a point still counts as on its surface."""
 
+_ROUNDING_MM = 1e-14
+"""Distance from a sheet at which a point counts as being on it."""
+
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -92,6 +95,31 @@ class Body(Part):
         """Return distances (n,), mm, of (n, 3) points from sheets (n,), and gradients (n, 3)."""
         row = np.arange(len(points))
         return self.sheet_distances(points)[row, sheet], self.sheet_normals(points)[row, sheet]
+
+    def onto_sheets(self, points: Points, on: Bools, *, depth_mm: float = 0.0) -> Points:
+        """Return the (n, 3) nearest points on sheets, edges (two sheets) or corners (three) of the
+        surface, by Newton steps of least length.
+
+        Parameters
+        ----------
+        on
+            (n, sheets): the sheets that each point shall lie on; none leaves the point where it is.
+        depth_mm
+            Depth of the level set that takes the sensing sheets' place.
+        """
+        points = np.array(points, dtype=np.float64)
+        moving = np.flatnonzero(on.any(axis=1))
+        for _ in range(30):
+            away = self.sheet_distances(points[moving]) - depth_mm * self.sensing_sheets
+            distance = np.where(on[moving], away, 0.0)
+            off = np.abs(distance).max(axis=1, initial=0.0) >= _ROUNDING_MM
+            moving = moving[off]
+            if len(moving) == 0:
+                break
+            normals = np.where(on[moving, :, None], self.sheet_normals(points[moving]), 0.0)
+            step = np.linalg.pinv(normals, rcond=1e-6) @ distance[off, :, None]
+            points[moving] -= step[:, :, 0]
+        return points
 
     def pieces_on(self, points: Points, sheet: Ints) -> Ints:
         """Return (n,) the piece at points (n, 3) of the sheets (n,)."""

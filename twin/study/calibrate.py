@@ -453,7 +453,7 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
     most = scene.calibration.press_probe_mm / 2
     radius = np.array([min(_hertz_radius(scene, float(f)), most) for f in force])
     own_cover = scene.cover is not None and scene.cover.has_own_material
-    covered = sensor.nominal_compliance if own_cover else None
+    covered = sensor.nominal_compliance.to_points if own_cover else None
     design = FittedDesign(scene, places, radius, covered, progress=sensor.progress)
     found = Fit.of(design, presses)
     # The transfer matrix of the fitted design, at the scene's sites.

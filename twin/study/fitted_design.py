@@ -15,8 +15,9 @@ five places only, which have the same second moments.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,9 +29,6 @@ from twin.sense.fit_design import Fit, Presses
 from twin.theory import halfspace
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.compliance import Compliance
-
-if TYPE_CHECKING:
-    from twin.world.elasticity.coated import CoveredCompliance
 
 SPREAD = 1 / 3 - 1 / 5
 """How far the second moments of two contacts' tractions lie apart, radius^2 per axis: a disc's that
@@ -72,7 +70,8 @@ class FittedDesign:
     radius_mm
         (p,) nominal contact radius of the presses there.
     covered
-        The nominal body with its cover, where that is of another material.
+        The compliance (3n, 3k), mm/N, of points (n, 3) under forces on k patches, of the nominal
+        body with its cover, where that is of another material.
     """
 
     def __init__(
@@ -80,7 +79,7 @@ class FittedDesign:
         scene: Scene,
         places: Rectangles,
         radius_mm: Floats,
-        covered: Compliance | CoveredCompliance | None = None,
+        covered: Callable[[Points, Rectangles], Floats] | None = None,
         progress: Any = None,
     ) -> None:
         self.covered = covered
@@ -134,7 +133,7 @@ class FittedDesign:
             none_seen = np.full((len(self._chart), 2), np.nan)
             drawn, _ = self.markers_of(np.zeros(len(self.names)), none_seen)
             bare = self._nominal.to_points(drawn, sites)
-            self._added[key] = self.covered.to_points(drawn, sites) - bare
+            self._added[key] = self.covered(drawn, sites) - bare
         return self._added[key]
 
     def _values(self, scaled: Floats) -> dict[str, float]:

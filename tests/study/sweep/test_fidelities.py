@@ -74,7 +74,8 @@ def test_loads_of_a_probe_are_presses_by_any_law_and_with_friction() -> None:
         pushes = Pushes.of(scene.body, sweep.loads, (2.0, 1.5), 1)
         assert pushes.chosen(sweep.loads.pair_mm) == [0, 1]
         sensor = Sensor(scene)
-        moved[law] = [one.displacement_mm for one in pushes.motions(sensor, BODIES, [0, 1])]
+        presses = [pushes.press(load, scene.press) for load in (0, 1)]
+        moved[law] = [sensor.motion(sensor.press(press).load).displacement_mm for press in presses]
         for load, found in enumerate(moved[law]):
             own = twin.Press(
                 probe=twin.Sphere(diameter_mm=6.0), friction=0.5, at_mm=tuple(pushes.patches.centre_mm[load, :2]),

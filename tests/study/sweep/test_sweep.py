@@ -19,7 +19,7 @@ from small_sweep import TABLE, small
 import twin
 from benchmarks.sweep import ranked
 from twin.errors import RecipeError
-from twin.study.sweep import design_rows, sweep_run
+from twin.study.sweep import design_rows, fidelities, sweep_run
 from twin.study.sweep.design_rows import Rows
 from twin.study.sweep.sweep_report import write_report
 from twin.study.sweep.sweep_run import Swept, run_sweep
@@ -165,7 +165,7 @@ def test_a_full_disk_is_not_kept_as_a_designs_failure(tmp_path: Path, monkeypatc
 
     changes = {"axes": {"markers.blue.depth_mm": [2.0]}, "fidelity": ["linear"]}
     with monkeypatch.context() as patch:
-        patch.setattr(design_rows, "linear", full)
+        patch.setattr(fidelities, "linear", full)
         with pytest.raises(OSError, match="No space left"):
             run_sweep(*small(**changes), tmp_path)
     assert run_sweep(*small(**changes), tmp_path).failed == 0
@@ -251,7 +251,7 @@ def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(tmp_path, mo
 
     clock = SimpleNamespace(process_time=lambda: cpu[0], perf_counter=lambda: 0.0)
     monkeypatch.setattr(design_rows, "time", clock)
-    monkeypatch.setattr(design_rows, "linear", row)
+    monkeypatch.setattr(fidelities, "linear", row)
     monkeypatch.setattr(design_rows, "cache_folder", lambda: tmp_path)
     told = sweep_run.estimate(*small(), workers=2)[-1][0]
     assert "6 designs, about 9 s with 2 workers" in told
@@ -268,7 +268,7 @@ def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(tmp_path, mo
         sensors.append(few.sensors)
         return {}, row(scene, None, few, bodies, pushes)[1] or {}
 
-    monkeypatch.setattr(design_rows, "full", pictured)
+    monkeypatch.setattr(fidelities, "full", pictured)
     told = sweep_run.estimate(*small(fidelity=["full"], sensors=5, confirm={"full": 2}), workers=1)[-1][0]
     assert "6 designs, about 63 s" in told, "all are taken by the first fidelity: 3 s and 6 times 5 times 2"
     assert sensors == [1, 1]

@@ -18,7 +18,6 @@ from twin.parts.body import Block
 from twin.world.mesh.body_mesh import outer_surface
 from twin.world.mesh.elements import signed_volumes
 from twin.world.mesh.sizing import Sizing, WantedEdge
-from twin.world.mesh.snap import onto_sheets
 from twin.world.mesh.tetrahedralise import Request
 
 BLOCK = Block(width_mm=10, length_mm=8, thickness_mm=6)
@@ -70,7 +69,7 @@ def test_a_body_that_is_not_convex_is_refused():
 def test_projection_reaches_surface_edge_and_corner_of_the_finger():
     on = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [0, 0, 0]], dtype=bool)
     start = np.array([(3, 2, 1.5), (-7.6, 3, 1.0), (-7.8, 7.7, 9.6), (1, 2, 3)], dtype=float)
-    found = onto_sheets(FINGER, start, on)
+    found = FINGER.onto_sheets(start, on)
     distance = FINGER.piece_distances(found)
     assert np.max(np.abs(distance[on])) < 1e-13
     assert_allclose(found[2], (-8, 8, 10), atol=1e-12)

@@ -96,6 +96,10 @@ class Job:
             sha.update(hashlib.sha256(self.files[path]).digest())
         return sha.hexdigest()[:32]
 
+    def task(self, folder: Path, number: int) -> Any:
+        """Compute a task here, from the files unpacked in ``folder``."""
+        return _work_of(self.work)(folder, number)
+
     @contextmanager
     def unpacked(self) -> Iterator[Path]:
         """Write the files into a temporary folder."""

@@ -10,18 +10,14 @@ design.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 import platform
 import time
-import warnings
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +25,11 @@ import numpy as np
 
 from twin.arrays import Progress
 from twin.blas_threads import one_thread
-from twin.errors import RecipeError, TwinError
 from twin.files import cache_folder, kept_if_possible, write_json, write_whole
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.study.batch.draw import SceneTable
 from twin.study.batch.pool import Job, Pool, counted, versions
-from twin.study.doubts import View
-from twin.study.recipe import load_scene
-from twin.study.sweep.designs import Designs
-from twin.study.sweep.fidelities import Shown, full, linear
 from twin.study.sweep.loads import Bodies, Pushes
 
 Row = dict[str, Any]
@@ -46,6 +37,12 @@ Row = dict[str, Any]
 
 FORMAT = 5
 """Version of the rows: a change of what they hold makes a sweep compute them again."""
+
+Shown = dict[str, np.ndarray]
+"""What the page shows of a design: (k, 3) ``site_mm``, the forces estimated there under the push in
+the middle, ``middle_n``, and under the pair, ``pair_n``, and the middle push's ``picture``."""
+
+_WORK = "twin.study.sweep.fidelities:_make_rows"
 
 CHUNK = {"linear": 16, "full": 1}
 """Designs of one task: what a kill loses at most, a worker each."""
@@ -127,9 +124,9 @@ class Rows:
             return found["each_s"], found["begin_s"], found["rows"], f"{how}, made before"
         with one_thread(), job.unpacked() as folder:
             began = time.process_time()
-            _make_rows(folder, 0)
+            job.task(folder, 0)
             started = time.process_time()
-            rows = [_make_rows(folder, k).rows[0] for k in range(1, 1 + len(tried))]
+            rows = [job.task(folder, k).rows[0] for k in range(1, 1 + len(tried))]
             spent = (time.process_time() - started) / len(rows)
             begin = max(started - began - spent, 0.0)
             each = times * spent
@@ -242,88 +239,4 @@ def _job_of(
         "designs": list(designs),
     }
     files = {"sweep.json": json.dumps(table).encode(), "scene.toml": scene.to_toml().encode()}
-    return Job(files=files, work=f"{__name__}:{_make_rows.__name__}")
-
-
-@dataclass(frozen=True)
-class _Made:
-    """A task's rows, npz contents shown, and compliances needed and made."""
-
-    rows: list[Row]
-    shown: list[bytes | None]
-    asked: int
-    made: int
-
-
-def _make_rows(folder: Path, task: int) -> _Made:
-    """Return the rows of a task of the job whose files are in ``folder``."""
-    worker = _worker(folder)
-    before = worker.bodies.asked, worker.bodies.made
-    done = [worker.row(number) for number in worker.numbers(task)]
-    asked, made = worker.bodies.asked - before[0], worker.bodies.made - before[1]
-    return _Made([row for row, _ in done], [shown for _, shown in done], asked, made)
-
-
-class _Worker:
-    """What a process keeps of one sweep."""
-
-    def __init__(self, folder: Path) -> None:
-        job = json.loads((folder / "sweep.json").read_text())
-        self.sweep = Sweep.model_validate(job["sweep"])
-        self.stage: str = job["stage"]
-        self.chunk: int = job["chunk"]
-        self.scene = load_scene(folder / "scene.toml")
-        columns = {key: [each[key] for each in job["designs"]] for key in job["designs"][0]}
-        self.designs = Designs(self.sweep, self.scene, columns)
-        self.base = SceneTable.of(self.scene)
-        self.bodies = Bodies.of(self.sweep)
-        self._pushes: dict[str, Pushes] = {}
-
-    def numbers(self, task: int) -> range:
-        """Return the numbers of the designs of a task."""
-        return range(task * self.chunk, min((task + 1) * self.chunk, len(self.designs)))
-
-    def row(self, number: int) -> tuple[Row, bytes | None]:
-        """Return a design's row; what goes wrong with it is its status."""
-        started = time.perf_counter()
-        row: Row = {"status": "ok", "error": ""}
-        shown = None
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                figures, shown = self._figures(self.designs.scene_of(number, self.base))
-            row |= figures
-        except RecipeError as problem:
-            row |= {"status": "dropped", "error": "; ".join(problem.problems)}
-        except TwinError as problem:
-            row |= {"status": "failed", "error": str(problem)}
-        except OSError:
-            # this machine's trouble, such as a full disk, and not the design's: its row is no row
-            raise
-        except Exception as problem:  # one design must not end a sweep of thousands
-            row |= {"status": "failed", "error": f"{type(problem).__name__}: {problem}"}
-        row["seconds"] = time.perf_counter() - started
-        return row, shown
-
-    def _figures(self, scene: Scene) -> tuple[dict[str, float], bytes | None]:
-        """Return a design's metrics, and of the full chain what the page shows."""
-        view = View.of(scene)
-        inside, hidden = view.inside.mean(), view.hidden.mean()
-        if inside < self.sweep.limits.seen:
-            raise RecipeError(f"only {100 * inside:.0f} % of the markers are inside the picture")
-        if hidden > self.sweep.limits.overlap:
-            raise RecipeError(
-                f"{100 * hidden:.0f} % of the markers overlap another one in the picture"
-            )
-        key = json.dumps(scene.body.geometry(), sort_keys=True, default=str)
-        if key not in self._pushes:  # the same patches for every design of one body
-            self._pushes[key] = Pushes.on_design(self.sweep, self.scene, scene)
-        if self.stage == "linear":
-            return linear(scene, view, self.sweep, self.bodies, self._pushes[key])[0], None
-        figures, shown = full(scene, self.sweep, self.bodies, self._pushes[key])
-        file = io.BytesIO()
-        np.savez_compressed(file, **shown)  # type: ignore[arg-type]
-        return figures, file.getvalue()
-
-
-_worker = lru_cache(maxsize=1)(_Worker)
+    return Job(files=files, work=_WORK)

@@ -22,10 +22,15 @@ less force (`resolved_by_sites`). A coarse grid gives all designs the same two-p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+import json
+import time
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,7 +38,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from twin.arrays import Bools, Floats, Picture, Points
-from twin.errors import InputError, RecipeError
+from twin.errors import ContactError, InputError, RecipeError, TwinError
 from twin.judge.score import GROSS_PX, dip, full_width, two_point_distance
 from twin.parts.body import Block
 from twin.parts.load import Rectangles
@@ -42,9 +47,12 @@ from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import GF, Sweep
 from twin.sense.inverse import METHODS, Problem
 from twin.sense.regularisation import RULES, Factors
+from twin.study.batch.draw import SceneTable
 from twin.study.calibrate import half_space_compliance, nominal_calibration
 from twin.study.doubts import View, shift_sd
-from twin.study.sensor import Sensor
+from twin.study.recipe import load_scene
+from twin.study.sensor import Motion, Sensor
+from twin.study.sweep.design_rows import Row, Shown
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.loads import PAIRS, Bodies, Pushes
 from twin.theory.limit import Limit
@@ -68,10 +76,6 @@ core of two."""
 
 _Signs = tuple[int, int]
 """Even (1) or odd (-1) under the mirrors of x and y; 0 where there is no mirror."""
-
-Shown = dict[str, np.ndarray]
-"""What the page shows of a design: (k, 3) ``site_mm``, the forces estimated there under the push in
-the middle, ``middle_n``, and under the pair, ``pair_n``, and the middle push's ``picture``."""
 
 
 def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
@@ -622,7 +626,7 @@ def _seen(
     matched = []
     spread = [np.zeros((0, 2))]
     pictures: list[Picture] = []
-    for place, motion in enumerate(pushes.motions(sensor, bodies, chosen)):
+    for place, motion in enumerate(_motions(sensor, bodies, pushes, chosen)):
         light = sensor.renderer.radiance(sensor.ellipsoids(motion))
         true = sensor.project(points + motion.displacement_mm) - at_rest
         shifts = []
@@ -652,6 +656,33 @@ def _seen(
     )
 
 
+def _motions(
+    sensor: Sensor, bodies: Bodies, pushes: Pushes, chosen: Sequence[int]
+) -> Iterator[Motion]:
+    """Yield how chosen loads move the actual markers; `ContactError` without equilibrium or full
+    force."""
+    actual = sensor.actual.scene
+    points = sensor.actual.markers.points
+    if pushes.probe:
+        assert actual.press is not None
+        for load in chosen:
+            state = sensor.press(pushes.press(load, actual.press))
+            if not state.complete:
+                raise ContactError(f"press {load} of the sweep's loads ends before its force")
+            yield sensor.motion(state.load)
+        return
+    printed = any(layer.kind == "print" for layer in actual.markers.values())
+    compliance = bodies.moved(actual, "truth", points, pushes.patches)
+    for load in chosen:
+        moved = compliance @ pushes.loads[load].ravel()
+        gradient = np.zeros((len(points), 3, 3))
+        if printed:  # of a bead's turn no picture shows anything
+            unit = bodies.unit(actual, "truth", pushes.patches)
+            gradient = unit.gradient(points, pushes.rectangles(load))
+            gradient = gradient / actual.material.youngs_modulus_mpa
+        yield Motion(displacement_mm=moved.reshape(-1, 3), gradient=gradient, error=0.0)
+
+
 def _nominal_compliance(scene: Scene, points: Points, sites: Rectangles, bodies: Bodies) -> Floats:
     """Return (3n, 3k) mm/N by which the sensor's software takes forces at sites to move points."""
     if scene.calibration.method == "halfspace":
@@ -673,3 +704,87 @@ def _deviation_px(error: Floats) -> float:
         raise InputError("no marker was found in any picture")
     fine = known & (np.linalg.norm(np.where(known[:, None], error, 0.0), axis=1) <= GROSS_PX)
     return float(np.sqrt(np.mean(error[fine] ** 2))) if fine.any() else float("nan")
+
+
+@dataclass(frozen=True)
+class _Made:
+    """A task's rows, npz contents shown, and compliances needed and made."""
+
+    rows: list[Row]
+    shown: list[bytes | None]
+    asked: int
+    made: int
+
+
+def _make_rows(folder: Path, task: int) -> _Made:
+    """Return the rows of a task of the job whose files are in ``folder``."""
+    worker = _worker(folder)
+    before = worker.bodies.asked, worker.bodies.made
+    done = [worker.row(number) for number in worker.numbers(task)]
+    asked, made = worker.bodies.asked - before[0], worker.bodies.made - before[1]
+    return _Made([row for row, _ in done], [shown for _, shown in done], asked, made)
+
+
+class _Worker:
+    """What a process keeps of one sweep."""
+
+    def __init__(self, folder: Path) -> None:
+        job = json.loads((folder / "sweep.json").read_text())
+        self.sweep = Sweep.model_validate(job["sweep"])
+        self.stage: str = job["stage"]
+        self.chunk: int = job["chunk"]
+        self.scene = load_scene(folder / "scene.toml")
+        columns = {key: [each[key] for each in job["designs"]] for key in job["designs"][0]}
+        self.designs = Designs(self.sweep, self.scene, columns)
+        self.base = SceneTable.of(self.scene)
+        self.bodies = Bodies.of(self.sweep)
+        self._pushes: dict[str, Pushes] = {}
+
+    def numbers(self, task: int) -> range:
+        """Return the numbers of the designs of a task."""
+        return range(task * self.chunk, min((task + 1) * self.chunk, len(self.designs)))
+
+    def row(self, number: int) -> tuple[Row, bytes | None]:
+        """Return a design's row; what goes wrong with it is its status."""
+        started = time.perf_counter()
+        row: Row = {"status": "ok", "error": ""}
+        shown = None
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                figures, shown = self._figures(self.designs.scene_of(number, self.base))
+            row |= figures
+        except RecipeError as problem:
+            row |= {"status": "dropped", "error": "; ".join(problem.problems)}
+        except TwinError as problem:
+            row |= {"status": "failed", "error": str(problem)}
+        except OSError:
+            # this machine's trouble, such as a full disk, and not the design's: its row is no row
+            raise
+        except Exception as problem:  # one design must not end a sweep of thousands
+            row |= {"status": "failed", "error": f"{type(problem).__name__}: {problem}"}
+        row["seconds"] = time.perf_counter() - started
+        return row, shown
+
+    def _figures(self, scene: Scene) -> tuple[dict[str, float], bytes | None]:
+        """Return a design's metrics, and of the full chain what the page shows."""
+        view = View.of(scene)
+        inside, hidden = view.inside.mean(), view.hidden.mean()
+        if inside < self.sweep.limits.seen:
+            raise RecipeError(f"only {100 * inside:.0f} % of the markers are inside the picture")
+        if hidden > self.sweep.limits.overlap:
+            raise RecipeError(
+                f"{100 * hidden:.0f} % of the markers overlap another one in the picture"
+            )
+        key = json.dumps(scene.body.geometry(), sort_keys=True, default=str)
+        if key not in self._pushes:  # the same patches for every design of one body
+            self._pushes[key] = Pushes.on_design(self.sweep, self.scene, scene)
+        if self.stage == "linear":
+            return linear(scene, view, self.sweep, self.bodies, self._pushes[key])[0], None
+        figures, shown = full(scene, self.sweep, self.bodies, self._pushes[key])
+        file = io.BytesIO()
+        np.savez_compressed(file, **shown)  # type: ignore[arg-type]
+        return figures, file.getvalue()
+
+
+_worker = lru_cache(maxsize=1)(_Worker)

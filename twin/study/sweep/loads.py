@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points
-from twin.errors import ContactError, InputError, RecipeError
+from twin.errors import InputError, RecipeError
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
@@ -26,7 +25,6 @@ from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 
 if TYPE_CHECKING:
-    from twin.study.sensor import Motion, Sensor
     from twin.world.elasticity.block_table import Table
     from twin.world.elasticity.compliance import Compliance
     from twin.world.mesh.sizing import Level
@@ -95,32 +93,6 @@ class Pushes:
             direction=tuple(self.patches.frames[place, 2]),
             force_n=tuple(self.loads[load, place]),
         )
-
-    def motions(self, sensor: Sensor, bodies: Bodies, chosen: Sequence[int]) -> Iterator[Motion]:
-        """Yield how chosen loads move the actual markers; `ContactError` without equilibrium or
-        full force."""
-        from twin.study.sensor import Motion
-
-        actual = sensor.actual.scene
-        points = sensor.actual.markers.points
-        if self.probe:
-            assert actual.press is not None
-            for load in chosen:
-                state = sensor.press(self.press(load, actual.press))
-                if not state.complete:
-                    raise ContactError(f"press {load} of the sweep's loads ends before its force")
-                yield sensor.motion(state.load)
-            return
-        printed = any(layer.kind == "print" for layer in actual.markers.values())
-        compliance = bodies.moved(actual, "truth", points, self.patches)
-        for load in chosen:
-            moved = compliance @ self.loads[load].ravel()
-            gradient = np.zeros((len(points), 3, 3))
-            if printed:  # of a bead's turn no picture shows anything
-                unit = bodies.unit(actual, "truth", self.patches)
-                gradient = unit.gradient(points, self.rectangles(load))
-                gradient = gradient / actual.material.youngs_modulus_mpa
-            yield Motion(displacement_mm=moved.reshape(-1, 3), gradient=gradient, error=0.0)
 
     @staticmethod
     def region_of(sweep: Sweep, scene: Scene) -> tuple[float, float]:

@@ -38,9 +38,9 @@ from twin.study.batch.pool import (
     only_writer,
 )
 from twin.study.doubts import View
-from twin.study.sweep.design_rows import Row, Rows
+from twin.study.sweep.design_rows import Row, Rows, Shown
 from twin.study.sweep.designs import Designs
-from twin.study.sweep.fidelities import Shown, closed, linear, resolved_by_sites
+from twin.study.sweep.fidelities import closed, linear, resolved_by_sites
 from twin.study.sweep.loads import Bodies, Pushes
 
 BEYOND = 0.1

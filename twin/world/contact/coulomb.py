@@ -41,8 +41,7 @@ from twin.arrays import Bools, Floats, Ints
 from twin.compiled import njit
 from twin.errors import ContactError, NotSettled
 from twin.world.contact.active_set import TOLERANCE, Equilibrium, UnilateralProblem
-from twin.world.contact.influence import Influence
-from twin.world.contact.saddle_point import SaddlePoint
+from twin.world.contact.saddle_point import Influence, SaddlePoint
 
 _AT_BOUND = 1.0 - 1e-9
 """A patch that slipped before stands at its bound, to round-off, and slips on unless its load

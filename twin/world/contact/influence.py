@@ -22,7 +22,6 @@ error.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -35,7 +34,7 @@ from twin.arrays import Floats, Ints, Points, frozen
 from twin.compiled import njit
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
-from twin.world.contact.saddle_point import SaddlePoint
+from twin.world.contact.saddle_point import Influence, Preconditioner
 from twin.world.contact.surface_patches import Patches
 from twin.world.elasticity.tensor_basis import SIZES, Axis
 
@@ -246,106 +245,6 @@ def _mix(
         for b in range(len(f)):
             made = np.dot(correction, f[b, :, nu:, nv:].copy().reshape(-1))
             out[b, :, nu:, nv:] = made.reshape(f[b, :, nu:, nv:].shape)
-
-
-_HELD = 1e-12
-"""Share of a depth that iteration leaves."""
-
-
-class _Preconditioner(Protocol):
-    """Approximate inverse of the compliance over its unit between k patches, restricted to some of
-    them."""
-
-    def force(self, rows: Ints, displacement: Floats) -> Floats:
-        """Return (m, 3, n) forces on some patches that move these by about (m, 3, n)."""
-        ...
-
-    def push(self, rows: Ints, depth: Floats) -> Floats:
-        """Return (n,) normal forces on some patches that move these by about (n,) along their
-        normals."""
-        ...
-
-
-class Influence(ABC):
-    """Compliance between k patches, in their own frames, mm/N.
-
-    Attributes
-    ----------
-    unit
-        The mean compliance of a patch to a force on itself, mm/N.
-    """
-
-    unit: float
-
-    @abstractmethod
-    def __len__(self) -> int: ...
-
-    @property
-    @abstractmethod
-    def own(self) -> Floats:
-        """(k,) normal displacement of each patch under a unit normal force on it."""
-
-    @property
-    @abstractmethod
-    def _preconditioner(self) -> _Preconditioner: ...
-
-    @abstractmethod
-    def apply(self, force: Floats) -> Floats:
-        """Return the (k, 3) displacements of the patches under forces (k, 3), mm."""
-
-    @abstractmethod
-    def normal_displacement(self, push: Floats) -> Floats:
-        """Return the (k,) normal displacements under normal forces (k,), mm."""
-
-    def product(self, rows: Ints, force: Floats) -> Floats:
-        """Return the (3, n) displacements over the `unit` of some patches under forces (3, n) on
-        them."""
-        whole = np.zeros((len(self), 3))
-        whole[rows] = force.T
-        return np.ascontiguousarray(self.apply(whole)[rows].T) / self.unit
-
-    @abstractmethod
-    def block(self, rows: Ints) -> Floats:
-        """Return the (n, 3, n, 3) compliance between some patches."""
-
-    @abstractmethod
-    def normal_block(self, rows: Ints, columns: Ints) -> Floats:
-        """Return the (n, m) normal displacements of some patches under unit normal forces on
-        others."""
-
-    def approx_solve(self, rows: Ints, displacement: Floats) -> Floats:
-        """Return (3, n, m) forces on some patches that move these by about (3, n, m) over the
-        `unit`."""
-        columns = displacement.transpose(2, 0, 1)
-        return self._preconditioner.force(rows, columns).transpose(1, 2, 0)
-
-    def approx_push(self, rows: Ints, depth: Floats) -> Floats:
-        """Return (n,) normal forces on the patches ``rows`` (n,) that move them by about ``depth``
-        (n,), mm."""
-        return self._preconditioner.push(rows, depth / self.unit)
-
-    def normal_system(self, rows: Ints, motion: Floats, pull: Floats) -> SaddlePoint:
-        """Return the system of the normal forces on some patches, lengths over the `unit`."""
-
-        def product(x: Floats) -> Floats:
-            push = np.zeros(len(self))
-            push[rows] = x
-            return np.asarray(self.normal_displacement(push)[rows] / self.unit)
-
-        def approx_solve(y: Floats) -> Floats:
-            return self.unit * np.stack([self.approx_push(rows, column) for column in y.T], axis=1)
-
-        return SaddlePoint(product=product, approx_solve=approx_solve, motion=motion, pull=pull)
-
-    def pushes_for_depth(self, rows: Ints, depth: Floats) -> Floats:
-        """Return (n,) the normal forces on some patches that move these by ``depth`` (n,), mm,
-        along their normals."""
-        n = len(rows)
-        system = self.normal_system(rows, np.zeros((n, 0)), np.zeros((0, n)))
-        found = system.solve(depth / self.unit, np.zeros(0), _HELD)
-        if found is not None:
-            return found[0]
-        return np.asarray(np.linalg.solve(self.normal_block(rows, rows), depth))
 
 
 class _LatticeInverse:
@@ -622,7 +521,7 @@ def _factored_solve(factor: Floats | None, right: Floats) -> Floats:
 class _JoinedInverse:
     """The inverses of several probes' patches, each by itself: between the patches' ``ends``."""
 
-    def __init__(self, parts: Sequence[_Preconditioner], ends: Ints) -> None:
+    def __init__(self, parts: Sequence[Preconditioner], ends: Ints) -> None:
         self._parts = parts
         self._ends = ends
 
@@ -639,7 +538,7 @@ class _JoinedInverse:
         ]
         return np.concatenate(pushes)
 
-    def _pieces(self, rows: Ints) -> list[tuple[_Preconditioner, int, slice]]:
+    def _pieces(self, rows: Ints) -> list[tuple[Preconditioner, int, slice]]:
         """Return every probe's inverse, its first patch, and its piece of the ascending
         ``rows``."""
         cuts = np.searchsorted(rows, self._ends)
@@ -698,11 +597,11 @@ class DenseInfluence(Influence):
         return np.ascontiguousarray(self._matrix[:, -1, :, -1])
 
     @cached_property
-    def _preconditioner(self) -> _Preconditioner:
+    def _preconditioner(self) -> Preconditioner:
         grids, poisson_ratio = self._of
         if not grids:
             return _BlockInverse(self._matrix, self.unit)
-        parts: list[_Preconditioner] = []
+        parts: list[Preconditioner] = []
         ends = np.cumsum([0, *map(len, grids)])
         for grid, (first, end) in zip(grids, pairwise(ends.tolist()), strict=True):
             found = _half_space_inverse(grid, poisson_ratio)

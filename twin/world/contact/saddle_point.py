@@ -1,7 +1,7 @@
 """Saddle-point systems C x + M q = right, B x = balance: forces x on patches and motions q of a
-rigid probe.
+rigid probe; and `Influence`, the compliance C between patches, as solvers know it.
 
-They are solved by GMRES with a constraint preconditioner: C is replaced by an approximate inverse,
+Systems are solved by GMRES with a constraint preconditioner: C is replaced by an approximation,
 and the few rows and columns of the probe's balance are kept exactly, so that the balance holds to
 round-off at every iteration (C. Keller, N. I. M. Gould and A. J. Wathen, SIAM J. Matrix Anal. Appl.
 21 (2000) 1300). Systems that GMRES does not solve are solved by elimination.
@@ -10,13 +10,18 @@ round-off at every iteration (C. Keller, N. I. M. Gould and A. J. Wathen, SIAM J
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from twin.arrays import Floats
+from twin.arrays import Floats, Ints
 from twin.compiled import njit
+
+_HELD = 1e-12
+"""Share of a depth that iteration leaves."""
 
 MOST_PRODUCTS = 60
 """Products with C until GMRES gives up."""
@@ -99,6 +104,102 @@ class SaddlePoint:
         whole *= scale[:, None]
         found = np.linalg.solve(whole, np.concatenate([right, balance]) * scale) * scale
         return found[:n], found[n:]
+
+
+class Preconditioner(Protocol):
+    """Approximate inverse of the compliance over its unit between k patches, restricted to some of
+    them."""
+
+    def force(self, rows: Ints, displacement: Floats) -> Floats:
+        """Return (m, 3, n) forces on some patches that move these by about (m, 3, n)."""
+        ...
+
+    def push(self, rows: Ints, depth: Floats) -> Floats:
+        """Return (n,) normal forces on some patches that move these by about (n,) along their
+        normals."""
+        ...
+
+
+class Influence(ABC):
+    """Compliance between k patches, in their own frames, mm/N.
+
+    Attributes
+    ----------
+    unit
+        The mean compliance of a patch to a force on itself, mm/N.
+    """
+
+    unit: float
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def own(self) -> Floats:
+        """(k,) normal displacement of each patch under a unit normal force on it."""
+
+    @property
+    @abstractmethod
+    def _preconditioner(self) -> Preconditioner: ...
+
+    @abstractmethod
+    def apply(self, force: Floats) -> Floats:
+        """Return the (k, 3) displacements of the patches under forces (k, 3), mm."""
+
+    @abstractmethod
+    def normal_displacement(self, push: Floats) -> Floats:
+        """Return the (k,) normal displacements under normal forces (k,), mm."""
+
+    def product(self, rows: Ints, force: Floats) -> Floats:
+        """Return the (3, n) displacements over the `unit` of some patches under forces (3, n) on
+        them."""
+        whole = np.zeros((len(self), 3))
+        whole[rows] = force.T
+        return np.ascontiguousarray(self.apply(whole)[rows].T) / self.unit
+
+    @abstractmethod
+    def block(self, rows: Ints) -> Floats:
+        """Return the (n, 3, n, 3) compliance between some patches."""
+
+    @abstractmethod
+    def normal_block(self, rows: Ints, columns: Ints) -> Floats:
+        """Return the (n, m) normal displacements of some patches under unit normal forces on
+        others."""
+
+    def approx_solve(self, rows: Ints, displacement: Floats) -> Floats:
+        """Return (3, n, m) forces on some patches that move these by about (3, n, m) over the
+        `unit`."""
+        columns = displacement.transpose(2, 0, 1)
+        return self._preconditioner.force(rows, columns).transpose(1, 2, 0)
+
+    def approx_push(self, rows: Ints, depth: Floats) -> Floats:
+        """Return (n,) normal forces on the patches ``rows`` (n,) that move them by about ``depth``
+        (n,), mm."""
+        return self._preconditioner.push(rows, depth / self.unit)
+
+    def normal_system(self, rows: Ints, motion: Floats, pull: Floats) -> SaddlePoint:
+        """Return the system of the normal forces on some patches, lengths over the `unit`."""
+
+        def product(x: Floats) -> Floats:
+            push = np.zeros(len(self))
+            push[rows] = x
+            return np.asarray(self.normal_displacement(push)[rows] / self.unit)
+
+        def approx_solve(y: Floats) -> Floats:
+            return self.unit * np.stack([self.approx_push(rows, column) for column in y.T], axis=1)
+
+        return SaddlePoint(product=product, approx_solve=approx_solve, motion=motion, pull=pull)
+
+    def pushes_for_depth(self, rows: Ints, depth: Floats) -> Floats:
+        """Return (n,) the normal forces on some patches that move these by ``depth`` (n,), mm,
+        along their normals."""
+        n = len(rows)
+        system = self.normal_system(rows, np.zeros((n, 0)), np.zeros((0, n)))
+        found = system.solve(depth / self.unit, np.zeros(0), _HELD)
+        if found is not None:
+            return found[0]
+        return np.asarray(np.linalg.solve(self.normal_block(rows, rows), depth))
 
 
 def _gmres(

@@ -35,7 +35,7 @@ from twin.world.mesh.elements import signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality, open_edges
 from twin.world.mesh.sizing import Level, Sizing, WantedEdge
-from twin.world.mesh.snap import onto_sheets, snapped_mesh
+from twin.world.mesh.snap import snapped_mesh
 from twin.world.mesh.tetrahedralise import Request, remeshed
 
 
@@ -204,7 +204,7 @@ def outer_surface(body: Body, spacing_mm: float) -> tuple[Points, Ints]:
             candidates = samples[np.all(near[:, pieces], axis=1)]
             on = np.zeros((len(candidates), len(body.pieces)), dtype=bool)
             on[:, pieces] = True
-            meeting = onto_sheets(body, candidates, on)
+            meeting = body.onto_sheets(candidates, on)
             points.append(meeting[body.contains(meeting, -1e-9)])
     rounded = np.unique(np.round(np.concatenate(points), 9), axis=0)
     hull = trimesh.convex.convex_hull(rounded)

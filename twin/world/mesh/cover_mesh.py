@@ -19,7 +19,6 @@ from twin.errors import MeshError
 from twin.parts.body import Body
 from twin.world.mesh.elements import TET_EDGES, signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.snap import onto_sheets
 
 _LEAST_RATIO = 0.2
 """Least over largest determinant of the quadratic map that an element of a layered mesh may
@@ -75,12 +74,12 @@ def _squeezed(mesh: Mesh, body: Body, depth_mm: float) -> Mesh:
     inward = depth_mm * (1.0 - depth / deepest)
     points = mesh.points + inward[:, None] * body.piece_normals(mesh.points)[:, 0]
     on = mesh.node_sheets(body)
-    corners = onto_sheets(body, points[: mesh.corners], on[: mesh.corners], depth_mm=depth_mm)
+    corners = body.onto_sheets(points[: mesh.corners], on[: mesh.corners], depth_mm=depth_mm)
     points[: mesh.corners] = corners
     edges = mesh.tets[:, :4][:, TET_EDGES]
     points[mesh.tets[:, 4:]] = corners[edges].mean(axis=2)
-    points[mesh.corners :] = onto_sheets(
-        body, points[mesh.corners :], on[mesh.corners :], depth_mm=depth_mm
+    points[mesh.corners :] = body.onto_sheets(
+        points[mesh.corners :], on[mesh.corners :], depth_mm=depth_mm
     )
     return replace(mesh, points=frozen(points))
 
@@ -96,7 +95,7 @@ def _extruded(mesh: Mesh, body: Body) -> Mesh:
     faces, corners = mesh.faces[chosen], mesh.corners
     nodes = np.unique(faces)
     near = nodes[nodes < corners]
-    far_points = onto_sheets(body, mesh.points[nodes], mesh.node_sheets(body)[nodes])
+    far_points = body.onto_sheets(mesh.points[nodes], mesh.node_sheets(body)[nodes])
     ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, first = np.unique(ends, axis=0, return_index=True)
     middle = faces[:, 3:].reshape(-1)[first]

@@ -21,7 +21,6 @@ from twin.parts.body import Body
 from twin.parts.part import identity
 from twin.world.mesh.elements import kuhn_grid
 from twin.world.mesh.quadratic_mesh import FORMAT
-from twin.world.mesh.snap import onto_sheets
 
 Level = Literal["nominal", "sketch", "coarse", "standard", "fine"]
 """``nominal`` is the sensor's own model; the others are the world's, each about three times the
@@ -159,7 +158,7 @@ def _rim_points(body: Body, spacing_mm: float) -> Points:
         candidates = samples[near[:, pair].all(axis=1)]
         on = np.zeros((len(candidates), len(body.pieces)), dtype=bool)
         on[:, pair] = True
-        rim = onto_sheets(body, candidates, on)
+        rim = body.onto_sheets(candidates, on)
         found.append(rim[body.contains(rim, -1e-6)])
     return np.concatenate(found)
 

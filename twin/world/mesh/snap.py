@@ -24,16 +24,13 @@ RIM_SHARE = 0.3
 _NO_AREA = 1e-300
 """Least divisor: a triangle that moving made a line has no normal, and its mesh passes no gate."""
 
-_ROUNDING_MM = 1e-14
-"""Distance from a sheet at which a point counts as being on it."""
-
 
 def snapped_mesh(body: Body, points: Points, tets: Ints) -> Mesh:
     """Return the quadratic mesh of positive linear tetrahedra, ``points`` (n, 3) and ``tets`` (m,
     4), whose boundary is near the body's surface: it is moved onto it."""
     triangles = boundary_triangles(tets)
     sheet = _classify(body, points, triangles)
-    points = onto_sheets(body, points, _sheets_at(body, triangles, sheet, len(points)))
+    points = body.onto_sheets(points, _sheets_at(body, triangles, sheet, len(points)))
     piece = body.pieces_on(points[triangles].mean(axis=1), sheet)
     corners = len(points)
     pairs = np.sort(tets[:, TET_EDGES].reshape(-1, 2), axis=1)
@@ -45,7 +42,7 @@ def snapped_mesh(body: Body, points: Points, tets: Ints) -> Mesh:
     )
     middle = points[edges].mean(axis=1)
     sheet = body.sheets_of(points[triangles], piece)
-    middle = onto_sheets(body, middle, _sheets_at(body, face_mid, sheet, len(edges)))
+    middle = body.onto_sheets(middle, _sheets_at(body, face_mid, sheet, len(edges)))
     return Mesh(
         points=frozen(np.concatenate([points, middle])),
         tets=frozen(np.hstack([tets, corners + of_pair.reshape(-1, 6)])),
@@ -85,34 +82,8 @@ def drawn_to_rim(mesh: Mesh, body: Body) -> Mesh:
             )
     on = mesh.node_sheets(body)
     moved = np.any(points != mesh.points, axis=1)
-    points[moved] = onto_sheets(body, points[moved], on[moved])
+    points[moved] = body.onto_sheets(points[moved], on[moved])
     return replace(mesh, points=frozen(points))
-
-
-def onto_sheets(body: Body, points: Points, on: Bools, *, depth_mm: float = 0.0) -> Points:
-    """Return the (n, 3) nearest points on sheets, edges (two sheets) or corners (three) of the
-    surface, by Newton steps of least length.
-
-    Parameters
-    ----------
-    on
-        (n, sheets): the sheets that each point shall lie on; none leaves the point where it is.
-    depth_mm
-        Depth of the level set that takes the sensing sheets' place.
-    """
-    points = np.array(points, dtype=np.float64)
-    moving = np.flatnonzero(on.any(axis=1))
-    for _ in range(30):
-        away = body.sheet_distances(points[moving]) - depth_mm * body.sensing_sheets
-        distance = np.where(on[moving], away, 0.0)
-        off = np.abs(distance).max(axis=1, initial=0.0) >= _ROUNDING_MM
-        moving = moving[off]
-        if len(moving) == 0:
-            break
-        normals = np.where(on[moving, :, None], body.sheet_normals(points[moving]), 0.0)
-        step = np.linalg.pinv(normals, rcond=1e-6) @ distance[off, :, None]
-        points[moving] -= step[:, :, 0]
-    return points
 
 
 def _classify(body: Body, points: Points, triangles: Ints) -> Ints:
