@@ -327,6 +327,10 @@ def test_what_an_unsure_thickness_makes_of_totals_is_stated():
     )
     assert short.sd_total_n == pytest.approx(np.hypot(sure.sd_total_n, 0.3 * sure.total_force_n))
     taken = read((change @ field.force_n.ravel()).reshape(-1, 2), calibration)
+    drifting = dataclasses.replace(as_found(shift, calibration, 0.02), drift_px=np.full_like(shift, [0.0, 0.3]))
+    moved, of_drift = reconstruct(drifting, calibration, "norm", 20.0), read(drifting.drift_px, calibration)
+    assert moved.total_force_n == pytest.approx(sure.total_force_n)
+    assert moved.sd_total_n == pytest.approx(np.hypot(sure.sd_total_n, of_drift.total_force_n))
     for total, sd in (("total_force_n", "sd_total_n"), ("total_torque_nmm", "sd_torque_nmm")):
         assert getattr(field, sd) == pytest.approx(np.hypot(getattr(sure, sd), getattr(taken, total)), rel=1e-4)
     by_mesh = read(shift, dataclasses.replace(calibration, provenance='{"mesh_error": 0.1}'))

@@ -228,7 +228,15 @@ def test_centroids_that_follow_their_cells_state_how_much_of_a_small_motion_they
     lacking = 1.0 - np.mean(found.shift_px) / 0.3
     assert lacking > 0.04
     assert found.gain_error == pytest.approx(lacking, rel=0.6)
-    assert track(picture(0.0, 1), picture(0.3, 2), LAYOUT).gain_error == 0
+    fitted = track(picture(0.0, 1), picture(0.3, 2), LAYOUT)
+    assert fitted.gain_error == 0
+    assert not fitted.drift_px.any()
+    # cells that start far off don't arrive at rest: the same picture moves
+    aside = {name: places - [6.0, 0.0] for name, places in LAYOUT.items()}
+    for layout, least in ((LAYOUT, 0.0), (aside, 0.02)):
+        again = track(picture(0.0, 1), picture(0.0, 1), layout, method="two-pass")
+        assert again.drift_px == pytest.approx(again.shift_px)
+        assert np.abs(again.drift_px).max() >= least
 
 
 @pytest.mark.parametrize("kind", ["bump", "radial", "uniform"])

@@ -108,6 +108,8 @@ class CentreEstimator:
         same, px.
     gain_error
         Standard deviation of a factor that all shifts share, from 1.
+    drift_px
+        (n, 2) motion that the rest picture shows against itself, px.
     """
 
     look: Look
@@ -115,6 +117,7 @@ class CentreEstimator:
     sd_px: Floats
     usual_sd_px: Floats
     gain_error: float = 0.0
+    drift_px: Floats | float = 0.0
 
     @property
     def roughness_px(self) -> float:

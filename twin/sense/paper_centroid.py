@@ -5,7 +5,8 @@ It is the baseline. A marker must stay in its cell; ground and shading pull the 
 that is too small to move the cell by a pixel is measured too small. By how much is found by moving
 the cells in the rest picture: centroids should not follow (`PaperCentroid.gain_error`). On the flat
 sensor under an NTSC camera they follow by .11; shifts of .1 to .6 px are .045 too small, at the
-border .2, and total forces 0.12.
+border .2, and total forces 0.12. Where two passes from the nominal position have not arrived, the
+rest picture moves against itself (`PaperCentroid.drift_px`).
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ class PaperCentroid(CentreEstimator):
                 followed += list((ahead - behind)[np.isfinite(ahead - behind)] / 2)
             gain = float(abs(np.mean(followed))) if followed else 0.0
             group = cls(look=look, around=around, sd_px=nothing, usual_sd_px=nothing)
-            groups.append(replace(group, gain_error=gain))
+            drift_px = np.nan_to_num(group.measure(picture, None).shift_px)
+            groups.append(replace(group, gain_error=gain, drift_px=drift_px))
         return groups
 
     def measure(self, picture: Picture, start_px: Pixels | None) -> Seen:

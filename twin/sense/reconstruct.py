@@ -81,8 +81,8 @@ class Field(Table):
         (3,) standard deviations of the totals, N and N mm: by the noise, by what the calibration
         leaves open (`Calibration.scale_error`, `Calibration.by_thickness`,
         `Calibration.by_camera`, `Calibration.mesh_error`; recorded places leave nothing), and by
-        `Found.gain_error`. By ``local`` also by where forces are expected, and by the misfit of
-        markers next to them (`Factors.misfit_variance`).
+        `Found.gain_error` and `Found.drift_px`. By ``local`` also by where forces are expected, and
+        by the misfit of markers next to them (`Factors.misfit_variance`).
     used
         (n,) which markers took part.
     wrong
@@ -257,6 +257,9 @@ def reconstruct(
     sd_total[:3] = np.hypot(sd_total[:3], moved)
     sd_total = np.hypot(sd_total, np.hypot(calibration.scale_error, found.gain_error) * totals)
     sd_total = np.hypot(sd_total, linear.totals_left_open)
+    if np.any(found.drift_px):
+        drift = problem.whiten(found.drift_px * np.ones_like(found.shift_px))
+        sd_total = np.hypot(sd_total, factors.sums(rows, drift[None], linear.weight)[0])
     kkt = 0.0
     if push_only or friction is not None:
         at = linear.weight

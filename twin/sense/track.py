@@ -89,6 +89,8 @@ class Found(Table):
         searched.
     gain_error
         Standard deviation of a factor that all shifts share, from 1.
+    drift_px
+        (N, 2) motion that the rest picture shows against itself, px: in all shifts, more or less.
     """
 
     _title: ClassVar[str] = "Marker motion"
@@ -103,6 +105,7 @@ class Found(Table):
     spurious_px: Pixels | None = None
     usual_sd_px: Floats | None = None
     gain_error: float = 0.0
+    drift_px: Floats | float = 0.0
 
     def __post_init__(self) -> None:
         if self.state is None:
@@ -400,7 +403,7 @@ def track_frame(
             f"start_px must be {rest.rest_px.shape} px, one row a marker, got {np.shape(start_px)}"
         )
     picture = rest.flaws.mended(picture)
-    shift = np.full(rest.rest_px.shape, np.nan)
+    shift, drift = np.full(rest.rest_px.shape, np.nan), np.zeros(rest.rest_px.shape)
     sd = np.full(len(rest.rest_px), np.nan)
     state = np.full(len(rest.rest_px), MISSING, np.uint8)
     usual = rest.usual_sd_px.copy()
@@ -415,6 +418,7 @@ def track_frame(
         if rest.film:  # that edges look alike says nothing where a codec repeats them
             film = REPEATING / min(seen.coherence, 1.0)
         shift[rows], sd[rows], state[rows] = seen.shift_px, film * seen.sd_px, seen.state
+        drift[rows] = group.drift_px
         usual[rows] *= film * seen.coherence
         spurious = (
             None if spurious is None or seen.spurious_px is None else [*spurious, seen.spurious_px]
@@ -427,7 +431,7 @@ def track_frame(
         return track_frame(rest, image, shift[~lost][near])
     sd[lost] = np.nan
     state[~lost & (state != STRAINED) & (state != PARTLY_HIDDEN)] = SEEN
-    for array in (shift, sd, state, usual):
+    for array in (shift, sd, state, usual, drift):
         frozen(array)
     return Found(
         rest_px=rest.rest_px,
@@ -440,4 +444,5 @@ def track_frame(
         spurious_px=None if spurious is None else frozen(np.concatenate(spurious)),
         usual_sd_px=usual,
         gain_error=max(group.gain_error for group in rest.groups),
+        drift_px=drift,
     )

@@ -634,7 +634,8 @@ def _seen(
             picture = sensor.exposed(light, 1 + count * (1 + place) + k)
             pictures = pictures or [picture]
             found = track_frame(rest, picture)
-            found = replace(found, shift_px=found.shift_px - zeros[k].shift_px, sd_px=stated)
+            moved = found.shift_px - zeros[k].shift_px
+            found = replace(found, shift_px=moved, sd_px=stated, drift_px=0.0)
             found_field = reconstruct(found, calibration, **options)
             shifts.append(found.shift_px)
             errors.append(found.shift_px - true)
