@@ -922,12 +922,14 @@ def test_grained_ground_states_a_true_deviation(width, moved, stays, largest):
     assert 0.65 < np.sqrt(np.nanmean((error / found.sd_px[:, None]) ** 2)) < 1.2
 
 
-@pytest.mark.parametrize("gain", [0.6, 1.5])
-def test_brighter_and_darker_pictures_state_a_true_deviation(gain):
+@pytest.mark.parametrize(("gain", "ground", "least"), [(0.6, 0.0, 0.7), (1.5, 0.0, 0.7), (2.2, 20.0, 0.4)])
+def test_brighter_and_darker_pictures_state_a_true_deviation(gain, ground, least):
+    """Also where the ground becomes as bright as the other layer's markers were, and markers saturate."""
     card, shift = Card(10.0), Card(10.0).shifts(3)
-    found = track(expose(card.draw(), 1), expose(card.draw(shift, gain=gain), 2), card.layout)
+    shown = expose(card.draw(shift, gain=gain) + gain * ground, 2)
+    found = track(expose(card.draw() + ground, 1), shown, card.layout)
     assert found.seen.all()
-    assert 0.7 < np.sqrt(np.mean(((found.shift_px - shift) / found.sd_px[:, None]) ** 2)) < 1.3
+    assert least < np.sqrt(np.mean(((found.shift_px - shift) / found.sd_px[:, None]) ** 2)) < 1.3
 
 
 def test_strange_spots_are_told_and_taken_for_no_marker():

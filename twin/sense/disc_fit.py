@@ -90,6 +90,10 @@ from twin.sense.template import (
     slope_terms,
 )
 
+BRIGHTER = 1.2
+"""The counts from which on other layers show follow the picture's brightness where that has changed
+by more than this factor: else a ground that is twice as bright passes for a layer."""
+
 SMOOTHER = 0.88
 """Brightness, or both (`LayerSignal.brightness`), replaces a layer's colour where third harmonics
 of edges at rest (`roughness_px`) are smaller by this factor."""
@@ -152,8 +156,9 @@ SAME_PLACE = 0.5
 SHRUNK = 0.9
 """At the picture's frame a marker that has become smaller than this may be cut."""
 
-WORST_FITS = 0.98
-"""A marker cut by the frame may fit as badly as this share of the whole ones."""
+WORST_FITS, WORSE = 0.98, 1.5
+"""A marker cut by the frame may leave so many times as much as this share of the whole ones: where
+it is also compressed, its brightness beyond the frame is not known."""
 
 LEAST_LIGHT = 3.0
 """Standard deviations by which a marker may have more light than it seems to."""
@@ -178,6 +183,8 @@ class DiscFit(SoftWindow):
         as far from their expected places, so that the rest picture itself shows no motion at all.
     bare
         Bare ground whose noise hangs together over pixels; None where it doesn't.
+    brightness_dn
+        Median of the rest picture's brightness, counts.
     pictures
         Own pictures at rest of a layer's markers whose outlines are no ellipses (`ROUGH_PX`).
     rougher
@@ -186,6 +193,7 @@ class DiscFit(SoftWindow):
 
     templates: Templates
     start_px: Pixels
+    brightness_dn: float
     bare: BareGround | None = None
     pictures: OwnPictures | None = None
     rougher: bool = False
@@ -226,7 +234,11 @@ class DiscFit(SoftWindow):
             picture, spots.spot_px, spots.cut, spots.look.diameter_px, marks
         )
         around = Neighbourhood.of(start, spots.around.spacing_px)
-        known = vars(spots) | {"around": around, "start_px": start}
+        known = vars(spots) | {
+            "around": around,
+            "start_px": start,
+            "brightness_dn": _brightness(picture),
+        }
         # Markers that the frame cuts are fitted by their part in sight.
         fitted = templates.fit(picture, start, around.lead)
         here = cls(**known | {"templates": replace(templates, rest=fitted.copy())})
@@ -273,8 +285,16 @@ class DiscFit(SoftWindow):
         spot = np.where((state == DIM) | (state == MERGED), spot, more)
         moved = (blobs.centre_px[spot] if len(blobs) else np.nan) - self.spot_px
         place = np.where((spot >= 0)[:, None], self.start_px + moved, np.nan)
-        suited, fitted = self._suited(picture, place)
+        suited, fitted = self._as_bright(picture)._suited(picture, place)
         return replace(suited._judged(picture, fitted, state), spurious_px=spurious)
+
+    def _as_bright(self, picture: Picture) -> DiscFit:
+        """Return this with the counts from which on other layers show in such light as now."""
+        gain = _brightness(picture) / max(self.brightness_dn, 1.0)
+        if not len(self.templates.others) or 1.0 / BRIGHTER < gain < BRIGHTER:
+            return self
+        others = self.templates.others * np.array([1.0, 1.0, 1.0, gain], np.float32)
+        return replace(self, templates=replace(self.templates, others=others))
 
     def _suited(self, picture: Picture, start_px: Pixels) -> tuple[DiscFit, Floats]:
         """Return the fits of all markers, and what judges them: by what is usual in this picture
@@ -468,7 +488,7 @@ class DiscFit(SoftWindow):
         def judged(part: Floats) -> tuple[Bools, Bools]:
             limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part[:, PIXELS], 1.0))
             limit *= templates.usual_misfit
-            like = part[:, MISFIT] < np.where(cut[rows], np.fmax(limit, worst), limit)
+            like = part[:, MISFIT] < np.where(cut[rows], WORSE * np.fmax(limit, worst), limit)
             near = np.hypot(*(part[:, CENTRE] - start).T) < 2.0 * radius[rows]
             hides = like & (cut[rows] | (part[:, SHORTFALL] > 0.0)) & near
             good = hides & (part[:, FITTING] > LEAST_PART) & (part[:, STEP] < PART_SETTLED_PX)
@@ -628,6 +648,11 @@ class DiscFit(SoftWindow):
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
         return Seen(shift_px=shift + correction, sd_px=sd, state=state, coherence=coherence)
+
+
+def _brightness(picture: Picture) -> float:
+    """Return the median of the brightness of some of the pixels, counts."""
+    return float(np.median(picture[::4, ::4].mean(axis=2)))
 
 
 @njit(cache=True)

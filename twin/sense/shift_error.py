@@ -167,7 +167,8 @@ class ShiftErrors:
         """How many times as large as by single pixels' noise the errors of centres are, by the
         edges or the bare ground."""
         factor = 1.0
-        if self.templates.coherent or self.bare:
+        mosaic = not self.templates.sites.all()  # edges that are sampled too coarsely err alike
+        if self.templates.coherent or self.bare or mosaic:
             factor = self._coherence_of_edges()
         if self.bare:
             own = self.fitted[:, RESHAPED] == OWN_SHAPE
