@@ -4,8 +4,6 @@ Noise: .05 px in every component of a shift, .02 px at rest, 5 mN in every compo
 transfer matrix of a square site, |H^ - H| / |H|; of the total of a distributed load, from the field on the scene's
 sites.
 
-``python -m benchmarks pages calibrations`` writes the stored results into docs/calibrations.md.
-
 The truth: presses on twenty made fingers, as shifts of their markers. They differ in stiffness, depths, print, camera
 and lens, none of which changes the contact but for the scale of the forces: at equal indentation displacements stay and
 forces grow with Young's modulus. So every press is solved once, for all of them, and its field is read at all their

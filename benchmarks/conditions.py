@@ -1,8 +1,7 @@
 """Tracking on what cameras deliver: markers kept, error, stated deviation and their ratio, condition by condition.
 
-Pictures are drawn by area (`benchmarks.discs`), not by twin's renderers: two layers of 80 and 63 markers, 130 counts of
-contrast, blur .7 px, 1.5 counts of read noise and shot noise of a 20 000 electron well. Every marker moves by up to 3.5
-px. JPEG is Pillow's, H.264 is ffmpeg's. ``chi`` is the root mean square of error over stated deviation, per axis;
+Pictures are drawn as in `benchmarks.tracking`, with layers of 80 and 63 markers that move by up to 3.5 px. JPEG is
+Pillow's, H.264 is ffmpeg's. ``chi`` is the root mean square of error over stated deviation, per axis;
 ``over_bound`` the error over Cramer and Rao's bound for the clean picture; ``wrong`` the share of all markers with a
 shift that is off by more than a pixel, ``silent`` of those off by more than five stated deviations and .05 px.
 """

@@ -1,8 +1,7 @@
 """Contact: presses against closed forms, seconds beside errors.
 
 On a half-space every case is pressed on finer and finer patches. The clock leaves out the first press on every number
-of patches, which compiles, and counts the compliance of every grid. What must hold on the sensors' own bodies is tested
-(`tests/world/contact`) and tried on thousands of random presses (`benchmarks.presses`).
+of patches, which compiles, and counts the compliance of every grid. The sensors' own bodies: `benchmarks.presses`.
 """
 
 import math

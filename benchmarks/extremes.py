@@ -3,8 +3,7 @@
 ``python -m benchmarks extremes [SCENE ...]`` sets one number at a time, of small scenes that use every table, to its
 least and its largest allowed value, to the smallest float there is, and to others that are far from anything of this
 world (`FAR`). Each such scene must be computed, with finite answers and balanced forces, or be refused with a cause: no
-traceback, no warning of numpy, no endless work. Random draws (`benchmarks.random_scenes`) seldom come this far, and
-which they draw changes with every version. Exit code 1 if any fails.
+traceback, no warning of numpy, no endless work. Random draws seldom come this far. Exit code 1 if any fails.
 """
 
 import copy

@@ -83,5 +83,6 @@ def _around(values: Floats, body: str) -> Points:
     """Return places or displacements (n, 3) of those in a half plane (n, 2)."""
     if values.shape[1] == 3:
         return values
+    along, down = values.T
     ways = [(1, 0), (0, 1), (-1, 0), (0, -1)] if body == "dome" else [(1, 0)]
-    return np.concatenate([np.column_stack([values[:, 0] * x, values[:, 0] * y, values[:, 1]]) for x, y in ways])
+    return np.concatenate([np.column_stack([along * x, along * y, down]) for x, y in ways])

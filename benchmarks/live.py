@@ -1,10 +1,8 @@
 """The page of ``twin run --live``: CPU milliseconds of an update, over places, pushes, side forces and twists.
 
-An update is all that the program does between a question and its answer: contact, displacement, picture, tracking,
-reconstruction, and the answer's bytes. Hands are drawn within half of what the page's sliders reach, and every one is
-asked for twice, the first time to warm up; those that friction can't carry are refused, and counted. ``open_cpu_s`` is
-what it takes until the page can be asked, with nothing kept from earlier runs: of a curved body nearly all of it is the
-table of its surface.
+An update is contact, displacement, picture, tracking, reconstruction, and the page's bytes. Hands are drawn within half
+of the sliders' range, each computed twice, the first time to warm up; those that friction can't carry are refused, and
+counted. ``open_cpu_s`` is what the page takes to open with empty caches: on a curved body its surface's table.
 """
 
 from typing import Any

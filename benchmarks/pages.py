@@ -337,39 +337,13 @@ def _calibrations() -> dict[str, str]:
     return {"results": f"{table(rows)}\n"}
 
 
-# linearity: rows that were stored once
-
-
-def law_error(row: Row) -> float:
-    """Return the error that the law of linearity gives for a row of the study, whose rubber is thick."""
-    from twin.theory.contact import law_of
-
-    flat = row["contact_over_probe_radius"] is None
-    return law_of("cylinder" if flat else "sphere", 0.0, sheared=row["shear_n"] > 0).error(row["mean_strain"])
+# linearity: a study that was stored once, and stage finite_strain
 
 
 def _validity() -> dict[str, str]:
-    presses = stored("validity")
-    tables = {
-        "Neo-Hookean rubber against linear theory, same elements, same force: least and largest force of each": [
-            {
-                "press": row["case"],
-                "push, N": row["push_n"],
-                "shear, N": row["shear_n"] or "",
-                "a/R": "" if (ratio := row["contact_over_probe_radius"]) is None else ratio,
-                "p/E": row["mean_strain"],
-                "strain at a marker": row["strain_markers"],
-                "largest error, %": 100 * row["error_max"],
-                "rms, %": 100 * row["error_rms"],
-                "law, %": 100 * law_error(row),
-                "indentation, %": 100 * row["indentation_error"],
-            }
-            for row in presses
-            if row["push_n"] in _least_and_most(row["case"], presses)
-        ],
-    }
+    study = folded("Neo-Hookean rubber against linear theory, same elements, same force", table(stored("validity")))
     last = f"Contact counted on the study's own meshes. {measured_on('validity')}"
-    found = {"results": f"\n{titled(tables)}\n\n{last}\n"}
+    found = {"results": f"\n{study}\n\n{last}\n"}
     for mark, whether in (("slabs", True), ("bodies", False)):
         rows = [row for row in stored("finite_strain") if row["body, mm"].startswith("block") == whether]
         over = [row["stated, %"] / row["left, %"] for row in rows]
@@ -380,12 +354,6 @@ def _validity() -> dict[str, str]:
             f"{measured_on('finite_strain')}\n"
         )
     return found
-
-
-def _least_and_most(case: str, rows: list[Row]) -> tuple[float, float]:
-    """Return the least and the largest push of a press."""
-    pushes = [row["push_n"] for row in rows if row["case"] == case]
-    return min(pushes), max(pushes)
 
 
 # error budget: stage budget

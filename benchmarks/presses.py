@@ -4,8 +4,7 @@
 failed before; what it has found is in benchmarks/results/presses_BODY.json. Every press is drawn from its own number:
 place, probe, size, force, friction and path. A press may be refused, where no answer exists (contact that runs over the
 edge, a side force that friction can't carry), with the cause named; anything else is a failure, printed with its
-number. So is a path that stops before its end, and a refusal for want of friction of a force that friction can carry
-(`rightly_refused`).
+number, and so is a path that stops before its end.
 
 On the block places lie in the window of its table. On the finger they lie in random regions of 5 mm, whose compliance
 is solved once each, on the coarse mesh: what is tested is the contact, not the elasticity.

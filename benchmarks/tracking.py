@@ -3,11 +3,8 @@
 Pictures are drawn by area (`benchmarks.discs`): 640 x 480, two layers, 130 counts of contrast, blur .7 px, 1.5 counts
 of read noise and shot noise of a 20 000 electron well. Motion is a random walk of up to 5 px, re-drawn for every
 picture. Times are of one thread's CPU, all work from the picture in memory to every marker's motion; others' programs
-find spots in each layer's own channel, and the nearest to the place before is taken (they have no notion of a missing
-marker). Errors are of the shift from rest to picture, per axis; the bound is Cramer and Rao's for the shift, all else
-known.
-
-``python -m benchmarks pages tracking`` writes the stored results into docs/tracking.md.
+find spots in each layer's own channel, and the nearest to the place before is taken. Errors are of the shift from rest
+to picture, per axis; the bound is Cramer and Rao's for the shift, all else known.
 """
 
 import time
