@@ -1,7 +1,7 @@
 """Sweeps: designs a second by fidelity, and how far each fidelity is from the next.
 
-CPU seconds are of one thread; ``designs_per_s`` is what two cores make of them. ``python -m benchmarks sweep`` makes the
-stored comparisons of fidelities anew and leaves the stored rates, which want an idle machine.
+CPU seconds are of one thread; ``designs_per_s`` is what two cores make of them. ``python -m benchmarks sweep`` makes
+the stored comparisons of fidelities anew and leaves the stored rates, which want an idle machine.
 """
 
 import tempfile
