@@ -290,8 +290,10 @@ class DiscFit(SoftWindow):
 
     def _as_bright(self, picture: Picture) -> DiscFit:
         """Return this with the counts from which on other layers show in such light as now."""
+        if not len(self.templates.others):
+            return self
         gain = _brightness(picture) / max(self.brightness_dn, 1.0)
-        if not len(self.templates.others) or 1.0 / BRIGHTER < gain < BRIGHTER:
+        if 1.0 / BRIGHTER < gain < BRIGHTER:
             return self
         others = self.templates.others * np.array([1.0, 1.0, 1.0, gain], np.float32)
         return replace(self, templates=replace(self.templates, others=others))
@@ -652,7 +654,7 @@ class DiscFit(SoftWindow):
 
 def _brightness(picture: Picture) -> float:
     """Return the median of the brightness of some of the pixels, counts."""
-    return float(np.median(picture[::4, ::4].mean(axis=2)))
+    return float(np.median(picture[::8, ::8].mean(axis=2)))
 
 
 @njit(cache=True)
