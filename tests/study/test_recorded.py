@@ -614,6 +614,9 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
     assert "read    total force of these presses off by: Fx 0." in right
     pulled = [lines[0], *(",".join([*row.split(",")[:6], "-3"]) for row in lines[1:])]
     (tmp_path / "presses.csv").write_text("\n".join(pulled) + "\n")
+    with pytest.raises(InputError, match="every press pulls"):
+        calibrate_to_file(fitted, tmp_path / "f.npz", folder=tmp_path)
+    (tmp_path / "presses.csv").write_text("\n".join([*pulled[:-1], lines[-1]]) + "\n")
     said = calibrate_to_file(fitted, tmp_path / "f.npz", folder=tmp_path)
     assert "predicted from the other presses: 1" in said
     assert "the presses do not fit this sensor" in said
