@@ -293,8 +293,8 @@ _UPRIGHT = (
     "z points from the pressed surface, at z = 0, into the body: turn it in CAD if it does not"
 )
 
-_STEEP = 0.1
-"""Least share of a triangle that faces -z for it to be looked for from there."""
+_FACING = 0.1
+"""Least share of a triangle's area seen along z for it to count as facing -z."""
 
 
 class Solid(StlFile, Body):
@@ -436,21 +436,25 @@ class Solid(StlFile, Body):
 
     @cached_property
     def _pressed(self) -> Bools:
-        """(m,) which triangles may be pressed: the chosen ones, but those that face -z behind
-        others, such as the walls of a hole."""
+        """(m,) which triangles may be pressed: the chosen ones that nothing hides."""
+        return self.sensing.picks(self._corners) & ~self._hidden
+
+    @cached_property
+    def _hidden(self) -> Bools:
+        """(m,) which of the chosen triangles face -z behind others, such as the walls of a hole;
+        none of them if all do."""
         from twin.geometry.pieces import TriangleTree
 
         chosen, corners = self.sensing.picks(self._corners), self._corners
-        facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        steep = facing[:, 2] > -_STEEP * np.linalg.norm(facing, axis=1)
-        asked = np.flatnonzero(chosen & ~steep)
+        outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        facing = outward[:, 2] <= -_FACING * np.linalg.norm(outward, axis=1)
+        asked = np.flatnonzero(chosen & facing)
         middle = corners[asked].mean(axis=1)
         along = np.broadcast_to([0.0, 0.0, 1.0], middle.shape)
         first = TriangleTree(corners).first_along(middle * [1, 1, 0], along)[1]
-        hidden = asked[first < middle[:, 2] - _ORIGIN_MM]
-        if len(hidden) < chosen.sum():
-            chosen[hidden] = False
-        return chosen
+        hidden = np.zeros(len(corners), np.bool_)
+        hidden[asked[first < middle[:, 2] - _ORIGIN_MM]] = True
+        return hidden if hidden.sum() < chosen.sum() else np.zeros_like(hidden)
 
     @cached_property
     def _pieces(self) -> Pieces:
@@ -567,7 +571,7 @@ class Solid(StlFile, Body):
     def geometry(self) -> dict[str, Any]:
         kept = self.model_dump(include={"shape", "sha256", "origin_mm"})
         regions = self.model_dump(include={"held", "sensing"}, exclude_defaults=True)
-        hidden = int((self.sensing.picks(self._corners) & ~self._pressed).sum())
+        hidden = int(self._hidden.sum())
         return kept | regions | ({"hidden": hidden} if hidden else {})
 
     def piece_distances(self, points: Points) -> Floats:

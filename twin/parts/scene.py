@@ -445,6 +445,11 @@ class Scene(Part):
         return sum((each.load() for each in self.tractions), Load())
 
     @property
+    def presses(self) -> tuple[Press, ...]:
+        """The press and those of further probes; none without a press."""
+        return () if self.press is None else (self.press, *self.press.also)
+
+    @property
     def displacement_error(self) -> float:
         """Largest requested error of a marker's displacement over the largest displacement."""
         made = self.tolerance.preset != "none"
@@ -453,8 +458,7 @@ class Scene(Part):
     @property
     def contact_patches(self) -> int:
         """Contact patches across the contact's diameter that the scene requests."""
-        presses = () if self.press is None else (self.press, *self.press.also)
-        widths = [each.width_mm for each in presses]
+        widths = [each.width_mm for each in self.presses]
         return self.accuracy.patches_for(
             widths, [layer.depth_mm for layer in self.markers.values()]
         )
@@ -501,10 +505,9 @@ class Scene(Part):
         """Refuse what lies behind a cover that lets no light through."""
         if self.cover is None or self.cover.transmittance > 0:
             return
-        presses = () if self.press is None else (self.press, *self.press.also)
         behind = {
             "light.outside": self.light is not None and any(self.light.outside),
-            "press.albedo": any(one.albedo is not None for one in presses),
+            "press.albedo": any(one.albedo is not None for one in self.presses),
         }
         if any(behind.values()):
             keys = ", ".join(key for key, given in behind.items() if given)

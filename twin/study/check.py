@@ -91,10 +91,10 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[Fact]:
     if scene.press is not None:
         from twin.world.contact.probe_gap import Approach
 
-        for press in (scene.press, *scene.press.also):
+        for press in scene.presses:
             Approach.of_press(press, scene.body)
     if scene.reconstruction is not None:
-        _ = sensor.sites
+        sensor.sites  # noqa: B018  refuses sites off the sensing surface
     _mesh_own_body(scene)
     warnings = (*doubts(scene), *_check_dataset(scene))
     facts = [

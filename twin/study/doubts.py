@@ -22,7 +22,6 @@ from twin.arrays import Bools, Floats, Pixels
 from twin.errors import RecipeError
 from twin.parts.camera import FULL_SCALE
 from twin.parts.markers import MarkerSet
-from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.parts.vary import CUT
 from twin.theory.optics import centre_bound, project_with_jacobian
@@ -285,8 +284,7 @@ def _of_press(scene: Scene) -> Iterator[str]:
                 f"reconstruction.sites.pitch_mm = {pitch:g} mm: usual are {_range(_SITES_MM)} mm; "
                 "sites lie where forces are looked for, closer than the markers are deep"
             )
-    presses: tuple[Press, ...] = () if scene.press is None else (scene.press, *scene.press.also)
-    for number, press in enumerate(presses):
+    for number, press in enumerate(scene.presses):
         key = f"press.also {number}" if number else "press"
         if press.width_mm < _NARROWEST_MM:
             yield (
