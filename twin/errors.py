@@ -18,11 +18,18 @@ code   meaning
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import functools
+import sys
+import warnings
 from collections.abc import Iterable, Mapping
 
 _FULL = {None, errno.ENOSPC, errno.EFBIG, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}
 """Error numbers of a full or read-only disk; numpy and HDF5 give none."""
+
+_PASSING = {functools.__file__, contextlib.__file__}
+"""Files between a caller and this program's functions: of lazy attributes and decorators."""
 
 
 def did_you_mean(
@@ -156,3 +163,14 @@ class AccuracyWarning(UserWarning):
     >>> import twin
     >>> warnings.simplefilter("error", twin.AccuracyWarning)
     """
+
+    @classmethod
+    def issue(cls, message: str) -> None:
+        """Warn at the line outside this program that asked for the result."""
+        frame, level = sys._getframe(1), 2
+        while frame.f_back is not None and (
+            frame.f_code.co_filename in _PASSING
+            or frame.f_globals.get("__name__", "").startswith("twin.")
+        ):
+            frame, level = frame.f_back, level + 1
+        warnings.warn(message, cls, stacklevel=level)

@@ -202,6 +202,10 @@ class RunResult:
         expected: Floats
         expected_name: str
 
+        def __repr__(self) -> str:
+            force = self.pressure_mpa @ (4 * self.half_mm.prod(axis=1))
+            return one_line("Touch", [self.probe, f"{len(self.slip)} patches", f"{force:.3g} N"])
+
     scene_toml: str
     truth: Truth | None = None
     estimate: Estimate | None = None

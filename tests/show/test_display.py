@@ -1,6 +1,7 @@
 """Results as text and sentences, in notebooks, as drawings and as tables."""
 
 import copy
+import re
 import sys
 from operator import methodcaller
 from types import SimpleNamespace
@@ -129,6 +130,13 @@ def test_a_state_is_drawn_patch_by_patch_and_tabulated() -> None:
     sensor = twin.Sensor(twin.load_scene("block_bare", {"accuracy.contact_patches": 8}))
     state = sensor.press(twin.Press(probe=twin.Sphere(diameter_mm=6), force_n=(0, 0, 1)))
     assert repr(state).startswith("ContactState(force (0, 0, 1) N, indentation ")
+    patches = len(state.pressure_mpa)
+    assert repr(state.load) == f"Load({patches} patches with (0, 0, 1) N)"
+    twist = twin.Traction.twist(centre_mm=(1, 0), radius_mm=2, torque_nmm=3)
+    assert repr(twist) == "Load(twist at (1, 0) mm with 3 N mm)"
+    number = r"[\d.e-]+ %"
+    shares = f"force {number}, indentation {number}, traction {number}, markers {number}"
+    assert re.fullmatch(rf"PressError\({shares}\)", repr(state.error))
     ax = Figure().subplots()
     assert state.plot(ax) is ax
     assert len(ax.collections[0].get_paths()) == len(state.pressure_mpa)

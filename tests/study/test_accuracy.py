@@ -43,8 +43,10 @@ def test_more_than_any_level_reaches_warns_once_with_asked_got_and_remedy():
 def test_a_press_on_few_patches_warns_of_them():
     few = {"accuracy.contact_patches": 8, "tolerance.preset": "none"}
     sensor = Sensor(load_scene("kamiyama_pillar", few))
-    with pytest.warns(AccuracyWarning, match=r"0\.002 is asked.*raise accuracy\.contact_patches \(8\)"):
+    match = r"0\.002 is asked.*raise accuracy\.contact_patches \(8\)"
+    with pytest.warns(AccuracyWarning, match=match) as warned:
         sensor.press().error  # noqa: B018
+    assert {one.filename for one in warned} == {__file__}  # the line that asked, not one of the program
 
 
 def letter(depth_mm):

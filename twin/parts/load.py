@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import model_validator
 
 from twin.arrays import Chart, Floats, Points, frozen
+from twin.display import one_line, vector
 from twin.errors import InputError, RecipeError, require
 from twin.parts.part import Force, Part, Place, Size
 
@@ -43,6 +44,9 @@ class Rectangles:
 
     def __len__(self) -> int:
         return len(self.centre_mm)
+
+    def __str__(self) -> str:
+        return f"{len(self)} patches with {vector(self.total_force_n, 'N')}"
 
     def __getitem__(self, part: slice) -> Rectangles:
         return Rectangles(**{name: array[part] for name, array in vars(self).items()})
@@ -138,7 +142,7 @@ class Traction:
     def __post_init__(self) -> None:
         numbers = np.array([*self.centre_mm, *self.size_mm, *self.force_n, self.torque_nmm], float)
         if not np.isfinite(numbers).all():
-            raise InputError(f"{self.kind} traction: every number must be finite, got {self}")
+            raise InputError(f"{self.kind} traction: every number must be finite, got {self!r}")
         if len(self.centre_mm) not in (2, 3):
             raise InputError(
                 f"{self.kind} traction: centre_mm must be (x, y) or (x, y, z), got {self.centre_mm}"
@@ -147,6 +151,11 @@ class Traction:
             raise InputError(
                 f"{self.kind} traction: the size must be positive, got {self.size_mm} mm"
             )
+
+    def __str__(self) -> str:
+        turns = self.kind == "twist"
+        total = f"{self.torque_nmm:g} N mm" if turns else vector(np.array(self.force_n), "N")
+        return f"{self.kind} at {vector(np.array(self.centre_mm), 'mm')} with {total}"
 
     @staticmethod
     def rectangle(
@@ -176,7 +185,7 @@ class Traction:
         return _single("twist", centre_mm, _across(radius_mm), (0.0, 0.0, 0.0), torque_nmm)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Load:
     """A sum of tractions on the sensing surface; loads add with ``+`` and ``sum``.
 
@@ -233,6 +242,9 @@ class Load:
     strained: Strained | None = None
     crept: Load | None = None
     probes: tuple[Placed, ...] = ()
+
+    def __repr__(self) -> str:
+        return one_line("Load", [str(term) for term in self.terms])
 
     @property
     def moving(self) -> Load:

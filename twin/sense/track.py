@@ -7,7 +7,6 @@ rows; one that can't be measured is NaN, with a state that names the reason.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -294,7 +293,7 @@ class Tracker:
         # Without a border in sight, motion by the lattice's own steps can't be told from none.
         self._first_px: Pixels | None = None
         if all(group.endless for group in self.rest.groups):
-            warnings.warn(_ENDLESS, AccuracyWarning, stacklevel=3)
+            AccuracyWarning.issue(_ENDLESS)
             self._first_px = np.zeros_like(self.rest.rest_px)
         self._last_px = self._first_px
         self._seen = np.zeros(len(self.rest.rest_px), np.bool_)

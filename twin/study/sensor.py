@@ -7,7 +7,6 @@ own.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -483,11 +482,9 @@ class Sensor:
         each = ", ".join(f"{k} {v:.2g}{_OF.get(k, '')}" for k, v in new.items()).replace(
             " inf", " unknown"
         )
-        warnings.warn(
+        AccuracyWarning.issue(
             f"accuracy.displacement = {self.nominal.displacement_error:g} is asked, but the "
-            f"estimated errors are larger: {each}; {remedy}",
-            AccuracyWarning,
-            stacklevel=5,  # past the decorator that limits BLAS to one thread
+            f"estimated errors are larger: {each}; {remedy}"
         )
 
     def _may_be_inaccurate(self, load: Load) -> bool:
@@ -711,7 +708,7 @@ class Sensor:
                 f"moved: lower ccd.exposure ({self.nominal.ccd.exposure:g}) or ccd.white_dn "
                 f"({self.nominal.ccd.white_dn:g})"
             )
-            warnings.warn(self.saturation, AccuracyWarning, stacklevel=4)
+            AccuracyWarning.issue(self.saturation)
         return picture
 
     @cached_property

@@ -111,7 +111,7 @@ class Validity:
         return not self.warnings and not self.notes
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Share:
     """Relative error of a press for one cause; inf where unknown.
 
@@ -136,6 +136,10 @@ class Share:
         """Return the share of a cause that couldn't be looked into."""
         return cls(force=math.inf, indentation=math.inf, traction=math.inf, markers=math.inf)
 
+    def __repr__(self) -> str:
+        errors = [f"{name} {100 * getattr(self, name):.2g} %" for name in vars(_NOTHING)]
+        return one_line(type(self).__name__, errors)
+
     def plus(self, other: Share) -> Share:
         """Return both together."""
         return self._each(add, other)
@@ -149,13 +153,14 @@ class Share:
         return self._each(lambda own, _: factor * own, self)
 
     def _each(self, of: Callable[[float, float], float], other: Share) -> Share:
-        return Share(**{key: of(getattr(self, key), getattr(other, key)) for key in vars(Share())})
+        both = {name: (getattr(self, name), getattr(other, name)) for name in vars(_NOTHING)}
+        return Share(**{name: float(of(*errors)) for name, errors in both.items()})
 
 
 _NOTHING = Share()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class PressError(Share):
     """How far a press may be off, all causes together: the module describes the estimate.
 
