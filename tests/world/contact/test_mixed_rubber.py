@@ -192,10 +192,21 @@ def test_tangent_is_symmetric_and_the_slope_of_the_resistance(kind, material):
     assert abs(tangent - tangent.T).max() < 1e-12 * abs(tangent).max()
 
 
+class Place(MixedRubber):
+    """Nodes on a line, whose displacements are the numbers (n,) of a place."""
+
+    _axes = 1
+
+    def __init__(self, unknowns):
+        super().__init__(LAWS[0])
+        self.unknowns, self._moves = unknowns, len(unknowns)
+
+
 def mixed(step, start, tolerance, seen=None):
     """Return the place (n,) where mixed steps end."""
     mixing = MixedRubber.Mixing(len(start) if seen is None else seen, 5)
-    return MixedRubber.newton(step, lambda one: one[:, None], start, 40, tolerance, "none", mixing.start)
+    steps = (lambda one: Place(step(one.unknowns))), Place(start), 40, tolerance
+    return Place(start).newton(*steps, lambda one: Place(mixing.start(one.unknowns))).unknowns
 
 
 def test_mixed_steps_solve_what_plain_steps_leave():

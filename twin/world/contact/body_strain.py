@@ -46,7 +46,7 @@ from twin.world.contact.whole_body import (
     RubberContact,
     SurfaceTouch,
 )
-from twin.world.elasticity.strain_law import LEAST_POISSON
+from twin.world.elasticity.strain_law import LEAST_POISSON, strain_law
 from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.interpolate import Locator
@@ -106,8 +106,6 @@ _POINTED = _Shares(0.22, 0.22, 0.7, 0.08)
 """Under spheres, under cones and flat faces, under faces that are solved with a rounder rim, and
 under cones on rubber that stiffens where their tips strain it most (docs/validity.md): from mesh to
 mesh of one body the change scatters four times as much as the error."""
-
-_DO_NOT_STIFFEN = "neo_hookean", "mooney_rivlin"
 
 _SLIPPING = 0.8
 """The largest share of a flat face with friction that may slip: points come under its front as it
@@ -185,7 +183,7 @@ class BodyStrain(FiniteStrain):
         self._shares = _ROUND if round_ else _SHARP
         if any(one is not made for one, made in zip(sharp, approaches, strict=True)):
             self._shares = _ROUNDED
-        if material.law not in _DO_NOT_STIFFEN and any(isinstance(p.probe, Cone) for p in presses):
+        if strain_law(material).stiffens and any(isinstance(p.probe, Cone) for p in presses):
             self._shares = _POINTED
         self._first = _COARSE if coarse else _FINE
         least = _TOLERANCE, Share(indentation=self._shares.sunk)

@@ -9,16 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from twin.arrays import Floats, Ints
 from twin.errors import ContactError, NotSettled, SolveError
 from twin.parts.material import Material, shear_modulus
+from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
 
-State = TypeVar("State")
+
+class _Solved(Protocol):
+    @property
+    def unknowns(self) -> Floats: ...
+
+
+State = TypeVar("State", bound=_Solved)
 
 
 class MixedRubber:
@@ -44,7 +51,7 @@ class MixedRubber:
 
     def __init__(self, material: Material) -> None:
         nu = material.poisson_ratio
-        self.law_name = material.law
+        self._law_name = material.law
         self._law = strain_law(material)
         self._shear = shear_modulus(1.0, nu)
         apart = 1.0 - 2.0 * nu
@@ -72,7 +79,20 @@ class MixedRubber:
 
     def tangent(self, unknowns: Floats) -> Any:
         """Return the sparse symmetric slope of `resistance`."""
-        raise NotImplementedError
+        blocks = self._blocks(unknowns, np.arange(len(self._row)))
+        return MixedRubber.summed(blocks, self._row, self.size)
+
+    def stiffness(self, tangent: Any, last: Ints | None = None) -> Factor:
+        """Return the factor of the free unknowns' tangent, with the `Factor.schur` of some."""
+        free = self._free
+        last = None if last is None else np.searchsorted(free, last)
+        return Factor(tangent[free][:, free], self._scale[free], node=self._node[free], last=last)
+
+    def moved_by(self, stiffness: Factor, forces: Floats, residual: float) -> Floats:
+        """Return the changes of the unknowns under forces, (n,) or (n, m)."""
+        out = np.zeros_like(forces)
+        out[self._free] = stiffness.solve(forces[self._free], residual)
+        return out
 
     @cached_property
     def at_rest(self) -> Any:
@@ -180,15 +200,13 @@ class MixedRubber:
             del self._begun[: -self._kept]
             return place
 
-    @staticmethod
     @np.errstate(over="ignore", invalid="ignore")
     def newton(
+        self,
         after: Callable[[State], State],
-        displacement: Callable[[State], Floats],
         state: State,
         steps: int,
         tolerance: float,
-        law: str,
         begin: Callable[[State], State] | None = None,
     ) -> State:
         """Take Newton's steps until one moves no node by more than ``tolerance`` of the largest
@@ -198,15 +216,15 @@ class MixedRubber:
         Raises
         ------
         NotSettled
-            ``steps`` don't suffice, or one fails; names the ``law`` and the remedy.
+            ``steps`` don't suffice, or one fails.
         """
         problem: Exception | None = None
         try:
             for _ in range(steps):
                 state = state if begin is None else begin(state)
-                before = displacement(state)
+                before = self.displacement(state.unknowns)
                 state = after(state)
-                moved = displacement(state)
+                moved = self.displacement(state.unknowns)
                 step = MixedRubber.largest(moved - before) / MixedRubber.largest(moved)
                 if step < tolerance:
                     return state
@@ -215,7 +233,7 @@ class MixedRubber:
         except (NotSettled, SolveError) as found:
             problem = found
         raise NotSettled(
-            f"contact: at finite strain (material.law = {law}) Newton's steps did not converge in "
-            f"{steps}: press with less force, with a larger or rounder probe, or set "
+            f"contact: at finite strain (material.law = {self._law_name}) Newton's steps did not "
+            f"converge in {steps}: press with less force, with a larger or rounder probe, or set "
             "material.poisson_ratio = 0.5 or material.law = linear"
         ) from problem

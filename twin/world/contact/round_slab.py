@@ -34,7 +34,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 
@@ -47,7 +46,6 @@ from twin.parts.press import Cone, Cylinder, Press, Sphere
 from twin.world.contact.contact_state import ContactState, Share
 from twin.world.contact.mixed_rubber import MixedRubber
 from twin.world.contact.probe_gap import MOTIONS, Approach, Shape, Z
-from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import LEAST_POISSON
 
 _SPRING = 3000.0
@@ -409,13 +407,8 @@ class SlabStrain(FiniteStrain):
         to: float = _TOLERANCE,
     ) -> _Balance:
         """Take Newton's steps until one moves nothing."""
-        state = MixedRubber.newton(
-            lambda one: _stepped(slab, touch, one, force, linear=linear),
-            lambda one: slab.displacement(one.unknowns),
-            state,
-            _STEPS,
-            to,
-            self._material.law,
+        state = slab.newton(
+            lambda one: _stepped(slab, touch, one, force, linear=linear), state, _STEPS, to
         )
         last = touch.rest_mm[-_POINTS:][state.pressure[-_POINTS:] > 0.0]
         MixedRubber.check_reach(last * math.inf, _REACH)
@@ -588,12 +581,6 @@ class Slab(MixedRubber):
         corner_node = number[::2, ::2].ravel()
         self._node = np.concatenate([np.repeat(number.ravel(), 2), corner_node])
 
-    def tangent(self, unknowns: Floats) -> Any:
-        """Return the sparse symmetric slope of `resistance`."""
-        return MixedRubber.summed(
-            self._blocks(unknowns, np.arange(len(self._row))), self._row, self.size
-        )
-
     def carried(self, grid: Slab.Grid, unknowns: Floats) -> Floats:
         """Return the unknowns of a slab of another grid on this one's."""
         from scipy.interpolate import RegularGridInterpolator
@@ -606,14 +593,6 @@ class Slab(MixedRubber):
         corners = within.reshape(*self.grid.shape, 2)[::2, ::2].reshape(-1, 2)
         known = RegularGridInterpolator((grid.r_mm, grid.z_mm), pressure)
         return np.concatenate([moved.ravel(), known(corners)])
-
-    def solve(self, matrix: Any, right: Floats) -> Floats:
-        """Return the solution (n, m) of a tangent for ``right`` (n, m); 0 where it is held."""
-        out = np.zeros_like(right)
-        free = self._free
-        factor = Factor(matrix[free][:, free], self._scale[free], node=self._node[free])
-        out[free] = factor.solve(right[free], _RESIDUAL)
-        return out
 
     def _gradient(self, moved: Floats, some: Ints) -> Floats:
         part = self._part[some]
@@ -750,7 +729,8 @@ def _stepped(slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear
     own = right + nodal(-(touch.spring * gap[on] * area)[:, None] * push)
     follow = nodal(-(touch.spring * area)[:, None] * push)
     springs = MixedRubber.summed(block, row, slab.size)
-    both = slab.solve(tangent + springs, np.column_stack([own, follow]))
+    stiffness = slab.stiffness(tangent + springs)
+    both = slab.moved_by(stiffness, np.column_stack([own, follow]), _RESIDUAL)
 
     def closed(step: Floats) -> Floats:
         moved = slab.displacement(step)[touch.nodes[on]]

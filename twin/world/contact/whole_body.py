@@ -98,6 +98,9 @@ _STRAINED = 0.03
 """Elements with no larger change of F, or pressure over the shear modulus, have the tangent of
 rest."""
 
+_RESIDUAL = 1.0
+"""Of a linear solution, relative: refinement is not worth its time, as Newton's steps go on."""
+
 LAST_STEP = 3e-3
 PART_STEP = 1.5e-2
 """Newton's steps end at one that moves nothing by more than this share of the largest displacement
@@ -137,19 +140,6 @@ class Rubber(MixedRubber):
         self._scale = MixedRubber.gathered(self._row[:, 30:], tenth, self.size)
         nodes = np.arange(len(mesh.points))
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
-
-    def stiffness(self, tangent: Any, last: Ints) -> Factor:
-        """Return the factor of the free unknowns' tangent, with the `Factor.schur` of some."""
-        free = self._free
-        scale, node = self._scale[free], self._node[free]
-        last = np.searchsorted(free, last)
-        return Factor(tangent[free][:, free], scale, node=node, last=last)
-
-    def moved_by(self, stiffness: Factor, force: Floats) -> Floats:
-        """Return the change of the unknowns (n,) under forces (n,)."""
-        out = np.zeros(self.size)
-        out[self._free] = stiffness.solve(force[self._free], 1.0)
-        return out
 
     def are_free(self, unknowns: Ints) -> Bools:
         """Return which of some unknowns are not held."""
@@ -474,8 +464,7 @@ class RubberContact:
         self._nodal = (3 * nodes[:, None] + np.arange(3)).ravel()
         self._free = rubber.are_free(self._nodal)
         self._row = (3 * local.reshape(-1, 6)[:, :, None] + np.arange(3)).reshape(-1, 18)
-        self.lately: Factor | None = None
-        """The stiffness of an earlier state at finite strain, while it will do."""
+        self._lately: Factor | None = None  # of an earlier state at finite strain, while it will do
 
     def at_rest(self) -> RubberContact.State:
         """Return the state in which nothing touches."""
@@ -500,21 +489,45 @@ class RubberContact:
         ``given`` (p, 6) are forces over Young's modulus, mm2, where ``by_force`` (p, 6), else
         places; ``to`` is `LAST_STEP` or `PART_STEP`.
         """
-        steps = _Steps(self, by_force, given, linear=linear)
+        rubber = self.rubber
+        held = by_force, given
+
+        def at_rest(state: RubberContact.State) -> RubberContact.State:
+            """Take a step by the stiffness at rest."""
+            return self._stepped(state, self._rest_stiffness, *held, linear=linear)
+
         if linear:
-            return steps.taken(steps.at_rest, state, MOST_STEPS, to)
+            return rubber.newton(at_rest, state, MOST_STEPS, to)
         if not self._rubs:
+            mixing = MixedRubber.Mixing(3 * len(rubber.mesh.points), _MIXED)
+
+            def mixed(state: RubberContact.State) -> RubberContact.State:
+                return replace(state, unknowns=mixing.start(state.unknowns))
+
             with suppress(NotSettled):
-                most, end = _MIXED_STEPS, _MIXED_TO * to
-                return steps.taken(steps.at_rest, state, most, end, steps.mixed)
-        return steps.taken(steps.renewed, state, MOST_STEPS, to)
+                return rubber.newton(at_rest, state, _MIXED_STEPS, _MIXED_TO * to, mixed)
+        last_mm = math.inf
+
+        def renewed(state: RubberContact.State) -> RubberContact.State:
+            """Take one by the present stiffness, or an earlier one's while its steps are not
+            slow."""
+            nonlocal last_mm
+            if self._lately is None:
+                self._lately = self._stiffness(rubber.tangent(state.unknowns))
+            end = self._stepped(state, self._lately, *held, linear=False)
+            moved_mm = rubber.largest(rubber.displacement(end.unknowns - state.unknowns))
+            if moved_mm > _SLOW * last_mm:
+                self._lately = None
+            last_mm = moved_mm
+            return end
+
+        return rubber.newton(renewed, state, MOST_STEPS, to)
 
     @cached_property
-    def rest_stiffness(self) -> Factor:
-        """`stiffness_at` rest."""
-        return self.stiffness_at(self.rubber.at_rest)
+    def _rest_stiffness(self) -> Factor:
+        return self._stiffness(self.rubber.at_rest)
 
-    def stiffness_at(self, tangent: Any) -> Factor:
+    def _stiffness(self, tangent: Any) -> Factor:
         """Return the rubber's stiffness, condensed to the nodes that may touch."""
         return self.rubber.stiffness(tangent, self._nodal[self._free])
 
@@ -605,7 +618,7 @@ class RubberContact:
             place[rows] += touch.own(rub.slipped[rows], pose, linear=linear)
         return replace(state, anchors=replace(state.anchors, place=place))
 
-    def stepped(
+    def _stepped(
         self,
         state: RubberContact.State,
         stiffness: Factor,
@@ -618,7 +631,7 @@ class RubberContact:
         # The rubber without contact, condensed to the nodes that may touch
         rubber, nodal = self.rubber, self._nodal
         internal = rubber.internal(state.unknowns, linear=linear)
-        loose = state.unknowns + rubber.moved_by(stiffness, -internal)
+        loose = state.unknowns + rubber.moved_by(stiffness, -internal, _RESIDUAL)
         # Contact on these, and what its forces move elsewhere
         pose = np.where(by_force, state.pose, given)
         now, force = self._balanced(
@@ -626,7 +639,7 @@ class RubberContact:
         )
         push = np.zeros(rubber.size)
         push[nodal] = force
-        return replace(now, unknowns=loose + rubber.moved_by(stiffness, push))
+        return replace(now, unknowns=loose + rubber.moved_by(stiffness, push, _RESIDUAL))
 
     def _balanced(
         self,
@@ -842,55 +855,3 @@ class RubberContact:
             shape[rows] = np.where(new, there, shape[rows])
             on[rows] |= new
         return replace(free, anchors=_Anchors(on, place, closed, shape))
-
-
-class _Steps:
-    """Newton's steps towards the balance of a contact under what holds the probes; arguments are
-    those of `RubberContact.settled`."""
-
-    def __init__(
-        self, contact: RubberContact, by_force: Bools, given: Floats, *, linear: bool
-    ) -> None:
-        self._contact = contact
-        self._held = by_force, given
-        self._linear = linear
-        self._mixing = MixedRubber.Mixing(3 * len(contact.rubber.mesh.points), _MIXED)
-        self._last_mm = math.inf
-
-    def taken(
-        self,
-        step: Callable[[RubberContact.State], RubberContact.State],
-        state: RubberContact.State,
-        most: int,
-        to: float,
-        begin: Callable[[RubberContact.State], RubberContact.State] | None = None,
-    ) -> RubberContact.State:
-        """Return the state after at most so many steps of one sort, see `MixedRubber.newton`."""
-        law = self._contact.rubber.law_name
-        return MixedRubber.newton(step, self._displacement, state, most, to, law, begin)
-
-    def _displacement(self, state: RubberContact.State) -> Points:
-        return self._contact.rubber.displacement(state.unknowns)
-
-    def _step(self, state: RubberContact.State, stiffness: Factor) -> RubberContact.State:
-        return self._contact.stepped(state, stiffness, *self._held, linear=self._linear)
-
-    def at_rest(self, state: RubberContact.State) -> RubberContact.State:
-        """Take a step by the stiffness at rest."""
-        return self._step(state, self._contact.rest_stiffness)
-
-    def mixed(self, state: RubberContact.State) -> RubberContact.State:
-        """Return where to begin a step by the stiffness at rest, see `MixedRubber.Mixing`."""
-        return replace(state, unknowns=self._mixing.start(state.unknowns))
-
-    def renewed(self, state: RubberContact.State) -> RubberContact.State:
-        """Take one by the present stiffness, or an earlier one's while its steps are not slow."""
-        contact = self._contact
-        if contact.lately is None:
-            contact.lately = contact.stiffness_at(contact.rubber.tangent(state.unknowns))
-        end = self._step(state, contact.lately)
-        moved_mm = MixedRubber.largest(self._displacement(end) - self._displacement(state))
-        if moved_mm > _SLOW * self._last_mm:
-            contact.lately = None
-        self._last_mm = moved_mm
-        return end

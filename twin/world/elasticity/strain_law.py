@@ -36,6 +36,11 @@ class StrainLaw(Protocol):
         """b: how much of the volume's stiffness lambda is in the law's own stress; mostly 0."""
         ...
 
+    @property
+    def stiffens(self) -> bool:
+        """Whether the shear modulus depends on the strain."""
+        ...
+
     def stress(self, gradient: Floats, cofactor: Floats, ratio: Floats) -> Floats:
         """Return S (..., 3, 3) of F (..., 3, 3), its cofactors, and its determinant (...)."""
         ...
@@ -91,13 +96,18 @@ class _Polynomial:
         for i in range(3):
             for j in range(3):
                 out[..., i, j, i, j] += first
-        if self.c11 or self.c111:
+        if self.stiffens:
             out += 2.0 * bend[..., None, None, None, None] * _outer(gradient)
         if self.c2:
             # cof is quadratic in F: its slope along dF is the cross product of F and dF
             flat = cofactor_change.reshape(*gradient.shape[:-2], 9, 9)
             out += 2.0 * self.c2 * (cofactor_slope(cofactor) + (flat @ flat).reshape(out.shape))
         return out
+
+    @property
+    def stiffens(self) -> bool:
+        """See `StrainLaw`."""
+        return bool(self.c11 or self.c111)
 
     @property
     def _of_volume(self) -> tuple[float, float]:
