@@ -89,7 +89,7 @@ def medians(values: Floats, axis: int = 0) -> Floats:
 def quantiles(values: Floats, *shares: float) -> list[float]:
     """Return which of the ``values`` (n,) these shares are below; NaN where all are."""
     ranked = np.sort(values)  # NaN come last
-    last = max(int(np.isfinite(values).sum()) - 1, 0)
+    last = max(int(ranked.searchsorted(np.inf)) - 1, 0)
     return [float(ranked[round(share * last)]) for share in shares]
 
 

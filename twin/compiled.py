@@ -54,10 +54,11 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     ----------
     **options
         numba's own; ``error_model`` is "numpy" where not said otherwise, ``forceinline`` on
-        wherever ``fastmath`` is.
+        wherever ``fastmath`` is, and ``nogil`` on: other threads of Python go on.
     """
     options = {
         "error_model": "numpy",
+        "nogil": True,
         "forceinline": bool(options.get("fastmath")),
         "no_cfunc_wrapper": True,  # only C code that is handed a function needs it
         **options,

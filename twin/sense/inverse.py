@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from twin.arrays import Bools, Floats
+from twin.arrays import Bools, Floats, medians
 from twin.errors import InputError
 from twin.parts.methods import Method
 from twin.sense.calibration import Calibration
@@ -188,14 +188,14 @@ class Problem:
         optimality conditions; ``start`` (k, 3) is a first guess."""
         frames, base = self.calibration.site_frames, self.base
         if "local" not in base.gram:
-            base.gram["local"] = _into_frames(base.transfer.T @ base.transfer, frames)
             base.gram["penalty"] = _into_frames(base.penalty, frames)
+            base.gram["local"] = _into_frames(base.transfer.T @ base.transfer, frames)
         # the quadratic's unit is px^2, not the noise
         least = LEAST * float(self.factors.singular.max() * self.size_px) ** 2
         relative = max(weight * self.size_px**2, least)
         if relative not in base.quadratics:
-            while len(base.quadratics) >= KEPT_WEIGHTS:
-                base.quadratics.pop(next(iter(base.quadratics)))
+            for oldest in list(base.quadratics)[: len(base.quadratics) + 1 - KEPT_WEIGHTS]:
+                base.quadratics.pop(oldest, None)
             curvature = base.gram["local"] + relative * base.gram["penalty"]
             base.quadratics[relative] = Quadratic(curvature=curvature)
         quadratic = base.quadratics[relative]
@@ -242,7 +242,7 @@ def _weights(
         if not (used & ~known).any():
             noise = Problem.in_classes(usual[known])
             ratio, here = own[known] / noise, used[known]
-            size = float(np.median(ratio[here]))
+            size = float(medians(ratio[here]))
             odd = (ratio > UNUSUAL * size) | (ratio < size / UNUSUAL)
             share = np.where(here, np.where(odd, (size / ratio) ** 2, 1.0), 0.0)
             count = int((share != 1.0).sum())
@@ -278,7 +278,7 @@ def _base(calibration: Calibration, method: InverseMethod, known: Bools, noise: 
             penalty = whole.penalty
             factors = whole.factors.of_some(np.repeat(known[every], 2), scale)
         base = _Base(transfer=whitened, penalty=penalty, factors=factors, gram={}, quadratics={})
-        while len(kept) >= KEPT:
-            kept.pop(next(iter(kept)))
+        for oldest in list(kept)[: len(kept) + 1 - KEPT]:
+            kept.pop(oldest, None)  # or another thread has
     kept[key] = base  # as the last that goes
     return base

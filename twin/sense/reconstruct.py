@@ -448,7 +448,7 @@ class _Linear:
         size = np.linalg.norm(known.total_rows[:3] @ force.ravel())
         share = np.linalg.norm(force, axis=1, keepdims=True)
         centre = (share * known.site_mm).sum(axis=0) / max(float(share.sum()), np.finfo(float).tiny)
-        levers = [np.ones(3), np.hypot(np.roll(centre, -1), np.roll(centre, -2))]
+        levers = [np.ones(3), np.hypot(centre[[1, 2, 0]], centre[[2, 0, 1]])]
         by_mesh = known.mesh_error * size * np.concatenate(levers)
         return np.asarray(np.sqrt((taken**2).sum(axis=0) + by_mesh**2))
 

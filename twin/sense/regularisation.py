@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -36,7 +37,10 @@ which states zero force with zero deviation, and hides a small load. Errors of t
 1.2 times those stated on both sensors, loads of 0 to 10 mN (5 mm and 1 mm presses, .005 px of
 noise); with -1 loads of 2 to 5 mN are 2 to 4 stated deviations off, with 0 they are 4 to 12."""
 
-PER_DECADE = 6
+DECADES = np.linspace(LEAST_DECADES, MOST_DECADES, 67)
+STEPS = np.linspace(-1.0, 1.0, 21)
+"""First all decades are searched, then around the best one."""
+
 FLAT = 1e-8
 """Weights whose objectives differ by less are as good, and the largest is taken. Where sites have
 more unknowns than markers give data, small weights all explain them without noise, and round-off
@@ -103,14 +107,11 @@ def _least(objective: Callable[[Floats], Floats], seen: Factors.Spectrum) -> flo
     top = float(seen.squared.max(initial=0.0))
     if top <= 0.0 or not (seen.energy.any() or seen.rest > 0.0):
         return max(top, 1.0)
-    count = round((MOST_DECADES - LEAST_DECADES) * PER_DECADE) + 1
-    decades = np.linspace(LEAST_DECADES, MOST_DECADES, count)
-    best = 0.0
+    decades, best, step = DECADES, 0.0, DECADES[1] - DECADES[0]
     for _ in range(2):
         values = objective(top * 10.0**decades)
         best = float(decades[values <= values.min() + FLAT].max())
-        step = decades[1] - decades[0]
-        decades = np.minimum(np.linspace(best - step, best + step, 21), MOST_DECADES)
+        decades = np.minimum(best + step * STEPS, MOST_DECADES)
     return float(top * 10.0**best)
 
 
@@ -210,11 +211,11 @@ class Factors:
             left=left,
             singular=singular,
             back=back[:, :count],
-            null=np.hstack([self.null, back[:, count:]]),
+            null=np.hstack([self.null, back[:, count:]]) if count < len(right) else self.null,
             share=np.ones(len(part)),
         )
 
-    @property
+    @cached_property
     def rows(self) -> Ints:
         """(s,) indices of the data whose information is not the usual one."""
         return np.flatnonzero(self.share != 1.0)

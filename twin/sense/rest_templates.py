@@ -502,16 +502,18 @@ def _widest(templates: Templates) -> float:
 
 
 def _covered(picture: Picture, marks: Pixels, radius: float) -> Bools:
-    """Return (h, w) which pixels are nearer than ``radius``, and a margin, to one of ``marks``."""
+    """Return (h, w + margin) which pixels are nearer than ``radius``, and some, to one of ``marks``
+    (n, 2). The margin means nothing: what lies left and right of the picture ends there."""
     offset = disc_offsets(radius + MARGIN_PX)
+    height, width = picture.shape[:2]
     reach = int(np.abs(offset).max())
-    margin, size = 2 * reach, np.array(picture.shape[:2]) + 4 * reach
-    middle = np.rint(marks[np.isfinite(marks).all(axis=1)]).astype(int) + margin
-    middle = middle[((middle >= reach) & (middle < size[::-1] - reach)).all(axis=1)]
-    covered = np.zeros(size, np.bool_)
-    step = np.array([1, size[1]])
-    covered.ravel()[(middle @ step)[:, None] + offset @ step] = True
-    return np.ascontiguousarray(covered[margin:-margin, margin:-margin])
+    middle = np.rint(marks[np.isfinite(marks).all(axis=1)]).astype(int)
+    near = (middle > -reach) & (middle < np.array([width, height]) + reach)
+    covered = np.zeros((height + 4 * reach, width + 2 * reach), np.bool_)
+    step = np.array([1, covered.shape[1]])
+    first = middle[near.all(axis=1)] @ step + 2 * reach * step[1]
+    covered.ravel()[first[:, None] + offset @ step] = True
+    return covered[2 * reach : -2 * reach]
 
 
 def _ground_slopes(
@@ -622,7 +624,10 @@ class BareGround:
         if known.sum() < QUADRATIC:
             return None
         places, moved = places[known], moved[known]
-        if _uneven(moved, places, picture)[1] < WHITE * medians(by_noise[known])[1]:
+        if (
+            _uneven(moved, slope_terms(places, picture.shape))[1]
+            < WHITE * medians(by_noise[known])[1]
+        ):
             return None
         few = slice(None, None, math.ceil(len(places) / FEW_PLACES))
         places, moved = places[few], moved[few]
@@ -651,6 +656,7 @@ class BareGround:
         covered = _covered(picture, self.marks_px + moved_on[count:], widest)
         places = np.concatenate([self.places_px + moved_on[:count], self.places_px])
         moved, by_noise = _moved_by_ground(picture, templates, places, covered)
+        smooth = slope_terms(self.places_px, picture.shape)
         squares = []
         for rows in (slice(count), slice(count, None)):
             change = moved[rows] - self.moved_px
@@ -658,18 +664,18 @@ class BareGround:
             noise = medians(by_noise[rows][known]) if known.any() else 0.0
             if known.sum() < QUADRATIC:
                 change = np.sqrt(2.0) * self.moved_px  # as if the texture were another one
-            square = _uneven(change, self.places_px, picture) - 2.0 * noise
+            square = _uneven(change, smooth) - 2.0 * noise
             squares.append(np.fmax(square, 0.0))
         (there, _), (here, whole) = squares
         camera = max(whole - here, 0.0) * min(there / max(here, 1e-12), 1.0)
-        return float(np.sqrt(1.0 + (there + camera) / np.nanmedian(sd_px) ** 2))
+        return float(np.sqrt(1.0 + (there + camera) / medians(sd_px) ** 2))
 
 
-def _uneven(moved: Floats, places: Pixels, picture: Picture) -> Floats:
-    """Return (2,) the mean squares, per axis, of ``moved`` (n, 4) but for what varies smoothly over
-    the picture, which moves markers alike at rest and later."""
+def _uneven(moved: Floats, smooth: Floats) -> Floats:
+    """Return (2,) the mean squares, per axis, of ``moved`` (n, 4) but for what varies as
+    ``smooth`` (n, 6) functions of the place, which moves markers alike at rest and later."""
     known = np.isfinite(moved[:, 0])
-    moved, basis = moved[known], slope_terms(places[known], picture.shape)
+    moved, basis = moved[known], smooth[known]
     moved = moved - basis @ np.linalg.solve(basis.T @ basis, basis.T @ moved)
     return BareGround.bounded_squares(moved.reshape(-1, 2, 2).swapaxes(1, 2).reshape(-1, 2))
 
@@ -678,7 +684,7 @@ def _moved_by_ground(
     picture: Picture, templates: Templates, places: Pixels, covered: Bools
 ) -> tuple[Floats, Floats]:
     """Return how far the ground moves a usual marker's centre at ``places`` (n, 2), px: (n, 4) by
-    what is around the marker, and by that behind it too; NaN where too much is ``covered`` (h, w).
+    what is around the marker, and by that behind it too; NaN where too much is `_covered`.
     And (n, 2) the variances of that by single pixels' noise."""
     shape = templates.usual_shape
     radius, blur = templates.usual_radius_px, float(shape[6])
@@ -708,8 +714,8 @@ def _fit_ground(
     image, own, sites, covered, middle, apart, slope, offset, runs, edge, least, moved, variance
 ):
     """Fill how far the ground has ``moved`` (q, 4) a marker at each place, and the ``variance``
-    (q, 2) of that by unit noise, where more than the share ``least`` of its edge is not ``covered``
-    (h, w): by what is around the marker, and by that behind it too.
+    (q, 2) of that by unit noise, where more than the share ``least`` of its edge is not `_covered`:
+    by what is around the marker, and by that behind it too.
 
     Least squares of the signal s, less its mean, by the slopes of the brightness along x and y, and
     a constant: g. With b the share of a pixel that no marker hides, or 1, the right side sums
@@ -728,6 +734,7 @@ def _fit_ground(
             line, first, number = row + runs[i, 0], column + runs[i, 1], runs[i, 2]
             start = line * width + first
             pixels = flat[3 * start : 3 * (start + number)]
+            start = line * covered.shape[1] + first
             behind = hidden[start : start + number]
             site, other = sites[line & 1, first & 1], sites[line & 1, ~first & 1]
             for p in range(number):

@@ -211,7 +211,8 @@ class ShiftErrors:
         share = 1.0 - chance * (LEVEL_TILT * chances) ** 2 / np.fmax(_square(tilted), 1e-12)
         if not self.templates.coherent:  # own shapes, of another noise: maybe compressed since
             share[fitted[:, RESHAPED] == OWN_SHAPE] = 0.0
-        return np.asarray(np.nan_to_num(tilted) * np.fmax(share, 0.0)[:, None])
+        share = share[:, None]
+        return np.where(share > 0.0, tilted * share, 0.0)
 
     def _edge_sd(self, sd: Floats, coherence: float) -> Floats:
         """Return the standard deviations ``sd`` (n,) by the noise, with what a covered or shadowed

@@ -40,7 +40,7 @@ def _through(p: Any, thickness: Any, index: float) -> tuple[Any, Any]:
 _through_one = njit()(_through)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _tangents(
     reach: Floats, depth: Floats, index: float, stack: Floats, air: Floats, out: Floats
 ) -> None:
@@ -51,7 +51,7 @@ def _tangents(
             out[i] = _tangent(reach[i], max(depth[i], 0.0), index, stack, air[i])[0]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _tangent(
     reach: float, depth: float, index: float, stack: Floats, air: float
 ) -> tuple[float, float]:
@@ -67,7 +67,7 @@ def _tangent(
     return (p if abs(missing) <= 1e-9 * (1 + reach) else np.nan), slope
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _sideways(
     p: float, depth: float, index: float, stack: Floats, air: float
 ) -> tuple[float, float]:

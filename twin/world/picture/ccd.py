@@ -359,7 +359,7 @@ def _segments(function: Callable[[Floats], Floats], octaves: int) -> Segments:
     return np.column_stack([y[:-1] - slope * x[:-1], slope]).astype(np.float32)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _at_segments(pieces: Segments, line: Singles) -> None:
     """Replace (n,) arguments by the function's values, with the sign of each; arguments above 1
     count as 1."""
@@ -378,7 +378,7 @@ def _normal_deviates() -> Segments:
     return _segments(lambda x: -ndtri(x / 2), _OCTAVES)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _normal_numbers(
     key: NDArray[np.uint64], first: np.uint64, deviates: Segments, out: Singles
 ) -> None:
@@ -402,7 +402,7 @@ def _normal_numbers(
     _at_segments(deviates, out)
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _electron_rows(
     begin: int,
     end: int,
@@ -483,7 +483,7 @@ def _electron_rows(
             target[i] = min(sums[i], one)
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _composite_rows(
     begin: int,
     end: int,

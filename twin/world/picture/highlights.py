@@ -94,7 +94,7 @@ def add_highlights(
     _draw(around, roughness[:, 0], parts, power, *seen_at, picture)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _draw(
     around: Floats,
     roughness: Floats,

@@ -297,7 +297,7 @@ class Shader(Protocol):
         marker's place, and (m,) the share of each pixel that they leave free."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _occluder_lists(
     spheres: Floats,
     order: Ints,

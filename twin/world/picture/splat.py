@@ -183,12 +183,12 @@ def _outlines(job: PictureJob, tallies: Ints) -> Outlines:
     return Outlines(centroid_px=frozen(centroid), visible=frozen(visible), area_px=frozen(area))
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _six(row: Any) -> Six:
     return row[0], row[1], row[2], row[3], row[4], row[5]
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _approach(ray: Four, m: Six, step: Four) -> Approach:
     """Return how a ray (fx, fy, dx, dy) passes an ellipsoid of metric ``m``: its distance to the
     centre in the metric, that distance's change along column and row (``step``: how far aside the
@@ -212,7 +212,7 @@ def _approach(ray: Four, m: Six, step: Four) -> Approach:
     return miss, one, two, x, y, z, ax, ay, az, square, np.sqrt(one * one + two * two)
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _candidate(met: Approach, m: Six, step: Four, k: Number) -> tuple[Number, Number]:
     """Return two numbers, positive if any of a pixel's k x k sub-pixels may show the ellipsoid, and
     if all of them do.
@@ -239,14 +239,14 @@ def _candidate(met: Approach, m: Six, step: Four, k: Number) -> tuple[Number, Nu
     return _ONE + (reach * (k - _ONE) + _HALF * steep) / k - miss, _ONE - _INNER * most - miss
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _coverage(met: Approach, k: Number) -> Number:
     """Return the share of a sub-pixel, 1/k px wide, around a ray that the ellipsoid covers."""
     share = min(max(_HALF + k * (_ONE - met[0]) / max(met[10], _TINY), _ZERO), _ONE)
     return _ONE if met[0] < _HALF else share
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _lit_place(met: Approach, ray: Four, m: Six, covers: Number, k: Number) -> Six:
     """Return where a sub-pixel is lit, from the centre, and the unit normal there."""
     m00, m11, m22, m01, m02, m12 = m
@@ -265,7 +265,7 @@ def _lit_place(met: Approach, ray: Four, m: Six, covers: Number, k: Number) -> S
     return x, y, z, nx * norm, ny * norm, nz * norm
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _blocked(
     centre: Three,
     m: Six,
@@ -303,12 +303,12 @@ def _blocked(
     return share if part > _ZERO and part < _ONE and miss < _FAR else _ZERO
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _four(w: Singles, at: int) -> Four:
     return w[at], w[at + _BATCH], w[at + 2 * _BATCH], w[at + 3 * _BATCH]
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _shade_isolated(
     begin: int,
     end: int,
@@ -527,7 +527,7 @@ def _shade_isolated(
                     free[at] = 1 - w[_SUM + j] / (grid * grid)
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _relative(
     ray: Floats, across: Floats, down: Floats, base: float, place: Floats
 ) -> tuple[Four, Four]:
@@ -549,7 +549,7 @@ def _relative(
     return there, step
 
 
-@njit(cache=True, nogil=True, fastmath=_REORDER)
+@njit(cache=True, fastmath=_REORDER)
 def _shade_overlapping(
     begin: int,
     end: int,
