@@ -28,128 +28,108 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("line", "words"),
     [
-        (["run", "kamiyama_pillar", "-s", "press.force_n=3"], "press.force_n = 3 N: must name its components"),
-        (["run", "kamiyama_pillar", "-s", "accuracy.displacement=0"], "(allowed: 1e-05 to 0.2 or 'auto')"),
-        (["run", "sweep_lens"], "sweep_lens.toml: is a sweep over many designs"),
+        ("run kamiyama_pillar -s press.force_n=3", "press.force_n = 3 N: must name its components"),
+        ("run kamiyama_pillar -s accuracy.displacement=0", "(allowed: 1e-05 to 0.2 or 'auto')"),
+        ("run sweep_lens", "sweep_lens.toml: is a sweep over many designs"),
+        ("export sato_press --format mitsuba --out x -s light.exponent=2", "light.exponent = 2: stock"),
+        ("export data --format coco --out x -s seed=2", "-s: belongs to a scene"),
+        ("run FOLDER", "is a folder"),
+        ("view FOLDER", "holds neither scene.toml"),
+        ("view kamiyama_pillar --out x.pdf", "allowed are .html for a page, .gif, .png, .mp4 for a film"),
+        ("view kamiyama_pillar --out FILE/x.html", "FILE: the output folder can't be made"),
+        ("run block_bare --out FILE", "output folder can't be made"),
+        ("run block_bare --out slide.h5", "slide.h5: the output is a folder, and .h5 a file's ending"),
+        ("view PICTURE", "twin view the folder of a run or of a dataset"),
+        ("mesh sato_press --mend", "See: twin mesh --help"),
+        ("run kamiyama_pillar more", "what is 'more'? The command takes no more"),
+        ("check PICTURE", "PICTURE: is a picture (PNG), and a scene or a sweep is a text file"),
+        ("check BODY.stl", "BODY.stl: is a surface (STL), and a scene or a sweep is a text file (TOML); name it"),
+        ("view BODY.step", "BODY.step: is a STEP file, and a scene or a sweep is a text file (TOML); export"),
+        ("scenes --new a --size-mm 30 20", "--size-mm needs 3 values: Width"),
+        ("run", "SCENE is missing: Path of a scene file"),
+        ("run kamiyama_pillar --out", "--out needs a value: Folder for the results"),
+        ("run kamiyama_pillar --want ,", "--want names nothing: give any of displacement"),
+        ("run kamiyama_pillar -s camera.width_px=true", "px: must be a whole number (allowed: 1 to 8192 px)"),
+        ("run kamiyama_pillar -s press.at_mm=[0]", "press.at_mm.1: missing; give a value\n"),
+        ("check gelpad_press -s press.probe={}", "press.probe: give a table with kind = 'sphere' or"),
+        ("check gelpad_press -s \"press.probe={kind='object'}\"", "missing; give 'letter' or 'gear' or"),
+        ("run kamiyama_pillar -s press.at_mm=[1,2,3,4]", "at_mm = [1, 2, 3, 4] mm: must be a list of at most 3"),
+        ('run kamiyama_pillar -s "press.at_mm=[.5, 0]"', "[.5, 0] is no list or table as TOML writes it"),
+        ("run kamiyama_pillar -s press.direction=down", "must be a list, such as [1, 1, 1] or 'normal'\n"),
+        ("run kamiyama_pillar -s press.albedo=0.5", "press.albedo = 0.5: must be a list, such as [1, 1, 1]\n"),
+        ("run kamiyama_pillar -s ccd.white_balance=[1,1,0]", "ccd.white_balance.2 = 0: must be greater than 0"),
+        ("run kamiyama_pillar -s light.positions_mm=3", "such as [[1, 1, 1], [1, 1, 1]]\n"),
+        ("run kamiyama_pillar --out RECORDING", "RECORDING: holds rest.png, which no run wrote"),
+        ("run LINK", "scene 'LINK': is no file to read, but a folder, a device, or a link to nowhere"),
+        ("check TABLE.csv", "a scene or a sweep is a text file, NAME.toml"),
+        ("run LONGNAME", "there is no such file"),
+        ("run ~nobody_of_this_name/a.toml", "there is no such file"),
+        ("reproduce --seed 1.5", "'1.5' is no whole number"),
+        ("reproduce Sato", "there is no entry 'Sato': did you mean 'sato'?"),
+        ("dataset dataset_kamiyama --samples 9999999999999", "allowed are 1 to 1,000,000,000"),
+        ("dataset dataset_kamiyama --samples 0", "allowed are 1 to"),
+        ("dataset dataset_kamiyama --samples 3 --columns ,", "--columns names nothing"),
+        ("dataset dataset_kamiyama --samples 3 --columns forse_n", "did you mean 'force_n'"),
+        ("sweep nothing", "no sweep 'nothing'"),
+        ("sweep kamiyama_pillar", "kamiyama_pillar.toml: is a scene, not a sweep"),
+        ("reconstruct REST PRESSED --calibration C --size 64x48", "belong to raw frames"),
+        ("reconstruct REST PRESSED --calibration C --overlay PRESSED", "is what is read"),
+        ("reconstruct REST FOLDER --calibration C --overlay FOLDER", "is what is read"),
+        ("reconstruct REST FOLDER --calibration C --overlay FOLDER/a.png", "is what is read"),
+        ("reconstruct REST PRESSED --calibration C.npz --out ./C.npz", "is what is read"),
+        ("rnu", ["rnu", 'Did you mean "run"']),
+        ("explain FOLDER", ["no such file", "give the score.json of a run"]),
+        ("explain PICTURE", "can't be read as JSON"),
+        ("explain EMPTY.json", "EMPTY.json: holds no number of a run"),
+        ('scenes --new ""', "--new '.': give the name of a file"),
+        ("run block_bare --open --want score", "--want leaves the report out"),
+        ("run kamiyama_piller", "did you mean 'kamiyama_pillar'"),
+        ("run minne.toml", "did you mean 'mine.toml'"),
+        ("run nowhere/at_all.toml", ["no scene", "shipped ones are"]),
+        ("run block_bare --ouut x", ["--ouut", "--out"]),
+        ("run block_bare --want dispalcement", "did you mean 'displacement'"),
+        ("run block_bare --want picture", "[camera]"),
         (
-            ["export", "sato_press", "--format", "mitsuba", "--out", "x", "-s", "light.exponent=2"],
-            "light.exponent = 2: stock",
+            "run kamiyama_pillar -s press.force_n.z=1 -s press.steps=[]",
+            ["press.steps are given together", "leave the others"],
         ),
-        (["export", "data", "--format", "coco", "--out", "x", "-s", "seed=2"], "-s: belongs to a scene"),
-        (["run", "FOLDER"], "is a folder"),
-        (["view", "FOLDER"], "holds neither scene.toml"),
-        (["view", "kamiyama_pillar", "--out", "x.pdf"], "allowed are .html for a page, .gif, .png, .mp4 for a film"),
-        (["view", "kamiyama_pillar", "--out", "FILE/x.html"], "FILE: the output folder can't be made"),
-        (["run", "block_bare", "--out", "FILE"], "output folder can't be made"),
-        (["run", "block_bare", "--out", "slide.h5"], "slide.h5: the output is a folder, and .h5 a file's ending"),
-        (["view", "PICTURE"], "twin view the folder of a run or of a dataset"),
-        (["mesh", "sato_press", "--mend"], "See: twin mesh --help"),
-        (["run", "kamiyama_pillar", "more"], "what is 'more'? The command takes no more"),
-        (["check", "PICTURE"], "PICTURE: is a picture (PNG), and a scene or a sweep is a text file"),
-        (["check", "BODY.stl"], "BODY.stl: is a surface (STL), and a scene or a sweep is a text file (TOML); name it"),
-        (["view", "BODY.step"], "BODY.step: is a STEP file, and a scene or a sweep is a text file (TOML); export"),
-        (["scenes", "--new", "a", "--size-mm", "30", "20"], "--size-mm needs 3 values: Width"),
-        (["run"], "SCENE is missing: Path of a scene file"),
-        (["run", "kamiyama_pillar", "--out"], "--out needs a value: Folder for the results"),
-        (["run", "kamiyama_pillar", "--want", ","], "--want names nothing: give any of displacement"),
+        ("check kamiyama_pillar -s seed=1 -s seed=2", "seed is given twice, as 1 and 2"),
         (
-            ["run", "kamiyama_pillar", "-s", "camera.width_px=true"],
-            "px: must be a whole number (allowed: 1 to 8192 px)",
+            "run sato_press -s press.force_n.z=1 -s press.force_n={x=1}",
+            "comes after -s press.force_n.z and replaces it: put",
         ),
-        (["run", "kamiyama_pillar", "-s", "press.at_mm=[0]"], "press.at_mm.1: missing; give a value\n"),
-        (["check", "gelpad_press", "-s", "press.probe={}"], "press.probe: give a table with kind = 'sphere' or"),
-        (["check", "gelpad_press", "-s", "press.probe={kind='object'}"], "missing; give 'letter' or 'gear' or"),
-        (
-            ["run", "kamiyama_pillar", "-s", "press.at_mm=[1,2,3,4]"],
-            "at_mm = [1, 2, 3, 4] mm: must be a list of at most 3",
-        ),
-        (["run", "kamiyama_pillar", "-s", "press.at_mm=[.5, 0]"], "[.5, 0] is no list or table as TOML writes it"),
-        (["run", "kamiyama_pillar", "-s", "press.direction=down"], "must be a list, such as [1, 1, 1] or 'normal'\n"),
-        (
-            ["run", "kamiyama_pillar", "-s", "press.albedo=0.5"],
-            "press.albedo = 0.5: must be a list, such as [1, 1, 1]\n",
-        ),
-        (
-            ["run", "kamiyama_pillar", "-s", "ccd.white_balance=[1,1,0]"],
-            "ccd.white_balance.2 = 0: must be greater than 0",
-        ),
-        (["run", "kamiyama_pillar", "-s", "light.positions_mm=3"], "such as [[1, 1, 1], [1, 1, 1]]\n"),
-        (["run", "kamiyama_pillar", "--out", "RECORDING"], "RECORDING: holds rest.png, which no run wrote"),
-        (["run", "LINK"], "scene 'LINK': is no file to read, but a folder, a device, or a link to nowhere"),
-        (["check", "TABLE.csv"], "a scene or a sweep is a text file, NAME.toml"),
-        (["run", "long" * 100], "there is no such file"),
-        (["run", "~nobody_of_this_name/a.toml"], "there is no such file"),
-        (["reproduce", "--seed", "1.5"], "'1.5' is no whole number"),
-        (["reproduce", "Sato"], "there is no entry 'Sato': did you mean 'sato'?"),
-        (["dataset", "dataset_kamiyama", "--samples", "9999999999999"], "allowed are 1 to 1,000,000,000"),
-        (["dataset", "dataset_kamiyama", "--samples", "0"], "allowed are 1 to"),
-        (["dataset", "dataset_kamiyama", "--samples", "3", "--columns", ","], "--columns names nothing"),
-        (["dataset", "dataset_kamiyama", "--samples", "3", "--columns", "forse_n"], "did you mean 'force_n'"),
-        (["sweep", "nothing"], "no sweep 'nothing'"),
-        (["sweep", "kamiyama_pillar"], "kamiyama_pillar.toml: is a scene, not a sweep"),
-        (["reconstruct", "REST", "PRESSED", "--calibration", "C", "--size", "64x48"], "belong to raw frames"),
-        (["reconstruct", "REST", "PRESSED", "--calibration", "C", "--overlay", "PRESSED"], "is what is read"),
-        (["reconstruct", "REST", "FOLDER", "--calibration", "C", "--overlay", "FOLDER"], "is what is read"),
-        (["reconstruct", "REST", "FOLDER", "--calibration", "C", "--overlay", "FOLDER/a.png"], "is what is read"),
-        (["reconstruct", "REST", "PRESSED", "--calibration", "C.npz", "--out", "./C.npz"], "is what is read"),
-        (["rnu"], ["rnu", 'Did you mean "run"']),
-        (["run"], ["run", "scene"]),
-        (["explain", "FOLDER"], ["no such file", "give the score.json of a run"]),
-        (["explain", "PICTURE"], ["can't be read as JSON"]),
-        (["explain", "EMPTY.json"], ["EMPTY.json: holds no number of a run"]),
-        (["scenes", "--new", ""], ["--new '.': give the name of a file"]),
-        (["run", "block_bare", "--open", "--want", "score"], ["--want leaves the report out"]),
-        (["run", "kamiyama_piller"], ["did you mean 'kamiyama_pillar'"]),
-        (["run", "minne.toml"], ["did you mean 'mine.toml'"]),
-        (["run", "nowhere/at_all.toml"], ["no scene", "shipped ones are"]),
-        (["run", "block_bare", "--ouut", "x"], ["--ouut", "--out"]),
-        (["run", "block_bare", "--want", "dispalcement"], ["did you mean 'displacement'"]),
-        (["run", "block_bare", "--want", "picture"], ["[camera]"]),
-        (
-            ["run", "kamiyama_pillar", "-s", "press.force_n.z=1", "-s", "press.steps=[]"],
-            ["press.force_n and press.steps are given together", "leave the others out"],
-        ),
-        (["check", "kamiyama_pillar", "-s", "seed=1", "-s", "seed=2"], ["seed is given twice, as 1 and 2"]),
-        (
-            ["run", "kamiyama_pillar", "-s", "press.force_n.z=1", "-s", "press.force_n={x=1}"],
-            ["-s press.force_n comes after -s press.force_n.z and replaces it: put it first"],
-        ),
-        (["run", "block_bare", "-s", "material.poisson_ratio=0.7"], ["poisson_ratio", "0.7", "-0.5 to 0.5"]),
-        (["run", "kamiyama_pillar", "-s", "markers.red.depth_mm=39.9"], ["markers.red", "outside the body"]),
-        (["run", "kamiyama_pillar", "-s", "seed"], ["key.path=value"]),
-        (["check", "nowhere"], ["no scene 'nowhere'"]),
-        (["check", "gelpad_press", "-s", "press.at_mm=[500,0]"], "at (500, 0, 0) mm misses the sensing surface"),
-        (["check", "gelpad_press", "-s", "seed=1e30"], "seed = 1e+30: must be a whole number (allowed: 0 to"),
-        (["check", "gelpad_press", "-s", "base=other"], "base: unknown key; a scene file names its base"),
-        (["check", "gelpad_press", "-s", "body.file=a.stl"], "body.file: unknown key; it belongs to shape = 'solid'"),
-        (["check", "gelpad_press", "-s", "body={shape='block'}"], "the recipe 'gelpad', which also holds [material]"),
-        (["check", "mine.toml"], "mine.toml: is empty: begin with base = 'gelpad_press'"),
-        (["check", "COMMA.toml"], "(at line 2, column 32); numbers have a point, such as 0.15, not a comma"),
-        (["check", "PICTURE"], "twin check REST1 REST2 --scene SCENE two of a sensor at rest"),
-        (["check", "gelpad_press", "-s", "tolerance.depth_mm=5"], "as drawn they fit: or reduce tolerance.depth_mm"),
-        (["check", "gelpad_press", "-s", "reconstruction.sites.pitch_mm=10"], "sites: some lie outside the sensing"),
-        (["check", "gelpad_press", "-s", "markers.Dots.depth_mm=1"], "no markers.Dots; did you mean 'dots'?\n"),
-        (
-            ["check", "kamiyama_pillar", "-s", "markers.dots.depth_mm=1", "-s", "markers.red.depth_mm=2"],
-            "markers.dots; its layers are red, blue",
-        ),
-        (
-            ["dataset", "OFF.toml", "--samples", "3", "--dry-run"],
-            "vary: the first 8 presses all fail, the first: the sphere at",
-        ),
-        (["sweep", "COMMA.toml"], "not valid TOML"),
-        (["sweep", "OFF.toml"], "OFF.toml: is a scene, not a sweep"),
-        (["scenes", "--pitch-mm", "2"], "--pitch-mm belongs to a new recipe: give --new NAME"),
-        (["view", "BODY.stl", "-s", "seed=2"], "BODY.stl: -s belongs to a scene"),
-        (["reconstruct", "REST", "GONE*.png", "--calibration", "C"], "GONE*.png: there is no such picture, folder"),
-        (["reconstruct", "REST", "FOLDER", "--calibration", "C"], "FOLDER: the folder holds no pictures (.png"),
-        (["calibrate", "--scene", "sato_press", "--out", "x.txt"], [".npz"]),
-        (["calibrate", "--scene", "block_bare", "--out", "x.npz"], ["block_bare: ", "[reconstruction]"]),
+        ("run kamiyama_pillar -s markers.red.depth_mm=39.9", ["markers.red", "outside the body"]),
+        ("run kamiyama_pillar -s seed", "key.path=value"),
+        ("check nowhere", "no scene 'nowhere'"),
+        ("check gelpad_press -s press.at_mm=[500,0]", "at (500, 0, 0) mm misses the sensing surface"),
+        ("check gelpad_press -s seed=1e30", "seed = 1e+30: must be a whole number (allowed: 0 to"),
+        ("check gelpad_press -s base=other", "base: unknown key; a scene file names its base"),
+        ("check gelpad_press -s body.file=a.stl", "body.file: unknown key; it belongs to shape = 'solid'"),
+        ("check gelpad_press -s \"body={shape='block'}\"", "the recipe 'gelpad', which also holds [material]"),
+        ("check mine.toml", "mine.toml: is empty: begin with base = 'gelpad_press'"),
+        ("check COMMA.toml", "(at line 2, column 32); numbers have a point, such as 0.15, not a comma"),
+        ("check PICTURE", "twin check REST1 REST2 --scene SCENE two of a sensor at rest"),
+        ("check gelpad_press -s tolerance.depth_mm=5", "as drawn they fit: or reduce tolerance.depth_mm"),
+        ("check gelpad_press -s reconstruction.sites.pitch_mm=10", "sites: some lie outside the sensing"),
+        ("check gelpad_press -s markers.Dots.depth_mm=1", "no markers.Dots; did you mean 'dots'?\n"),
+        ("check kamiyama_pillar -s markers.dots.depth_mm=1", "markers.dots; its layers are red, blue"),
+        ("dataset OFF.toml --samples 3 --dry-run", "vary: the first 8 presses all fail, the first: the sphere at"),
+        ("sweep COMMA.toml", "not valid TOML"),
+        ("sweep OFF.toml", "OFF.toml: is a scene, not a sweep"),
+        ("scenes --pitch-mm 2", "--pitch-mm belongs to a new recipe: give --new NAME"),
+        ("view BODY.stl -s seed=2", "BODY.stl: -s belongs to a scene"),
+        ("reconstruct REST GONE*.png --calibration C", "GONE*.png: there is no such picture, folder"),
+        ("reconstruct REST FOLDER --calibration C", "FOLDER: the folder holds no pictures (.png"),
+        ("calibrate --scene sato_press --out x.txt", ".npz"),
+        ("check DAMAGED", "truth.npz: can't be read"),
+        ("check DIGITS.toml", "not valid TOML"),
+        ("run block_bare -s seed=DIGITS", "-s seed"),
+        ("calibrate --scene block_bare --out x.npz", ["block_bare: ", "[reconstruction]"]),
     ],
 )
-def test_wrong_input_is_told_in_the_users_terms(arguments, words, tmp_path, capsys, monkeypatch):
+def test_wrong_input_is_told_in_the_users_terms(line, words, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("FOLDER").mkdir()
     Path("FILE").touch()
@@ -165,11 +145,15 @@ def test_wrong_input_is_told_in_the_users_terms(arguments, words, tmp_path, caps
     Path("EMPTY.json").write_text('{"elastic": [], "tracking": null, "force": 3}')
     Path("RECORDING").mkdir()
     Path("RECORDING/rest.png").touch()
+    Path("DAMAGED").mkdir()
+    Path("DAMAGED/truth.npz").write_bytes(b"PK\x03\x04 cut short")
+    Path("DIGITS.toml").write_text("seed = " + "9" * 5000)
+    line = line.replace("LONGNAME", "long" * 100).replace("=DIGITS", "=" + "9" * 5000)
     for name in ("OMP", "OPENBLAS", "MKL", "NUMBA"):  # which commands with workers would set for good
         monkeypatch.setenv(f"{name}_NUM_THREADS", os.environ.get(f"{name}_NUM_THREADS", "1"))
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(SystemExit) as done:
-        main(arguments)
+        main(shlex.split(line))
     told = capsys.readouterr().err
     assert done.value.code == 2
     for word in [words] if isinstance(words, str) else words:
@@ -203,13 +187,6 @@ def test_every_command_has_examples_that_it_understands(command: str) -> None:
 def test_help_is_paragraphs_that_a_terminal_can_wrap(command: str) -> None:
     paragraphs = app[command].help.split("\n\n")
     assert all(paragraph and "\n" not in paragraph for paragraph in paragraphs)
-
-
-def test_check_names_a_damaged_result(tmp_path: Path) -> None:
-    (tmp_path / "truth.npz").write_bytes(b"PK\x03\x04 cut short")
-    done = twin("check", str(tmp_path))
-    assert done.returncode == 2
-    assert "truth.npz: can't be read" in done.stderr
 
 
 def test_displacement_alone_loads_no_renderer_and_writes_no_picture(tmp_path: Path) -> None:
@@ -260,26 +237,26 @@ def test_an_unwritable_cache_is_replaced_by_a_temporary_one_with_a_warning(tmp_p
     assert done.returncode == 0
 
 
-@pytest.mark.parametrize("what", ["pass", "raise ImportError('can not load')"])
-def test_an_interrupt_is_told_as_one_even_where_a_library_hides_it(what: str) -> None:
-    code = (
-        "import os, signal, twin.study.check as doctor\nfrom twin.cli import main\n"
-        "def interrupted():\n"
-        "    try: os.kill(os.getpid(), signal.SIGINT)\n"
-        f"    except KeyboardInterrupt:\n        {what if what != 'pass' else 'raise'}\n"
-        "doctor.examine = interrupted\nmain(['doctor'])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr.strip()) == (130, "twin: interrupted; files written so far are whole")
+INTERRUPTED = """
+import os, signal, twin.study.check as doctor
+from twin.cli import main
+def interrupted():
+    try: os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt: raise {0}
+doctor.examine = interrupted
+main(["doctor"])
+"""
+WHILE_LOADING = """
+import os, runpy, signal, sys
+class Interrupted:
+    def find_spec(name, *_): name == "cyclopts" and os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupted)
+runpy.run_module("twin", run_name="__main__")
+"""
 
 
-def test_an_interrupt_while_libraries_load_is_told_without_a_traceback() -> None:
-    code = (
-        "import os, runpy, signal, sys\n"
-        "class Interrupted:\n"
-        "    def find_spec(name, *_): name == 'cyclopts' and os.kill(os.getpid(), signal.SIGINT)\n"
-        "sys.meta_path.insert(0, Interrupted)\nrunpy.run_module('twin', run_name='__main__')"
-    )
+@pytest.mark.parametrize("code", [INTERRUPTED.format(""), INTERRUPTED.format("ImportError"), WHILE_LOADING])
+def test_an_interrupt_is_told_as_one_even_where_a_library_hides_it_or_is_loading(code: str) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (130, "twin: interrupted; files written so far are whole\n")
 

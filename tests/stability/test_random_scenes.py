@@ -18,7 +18,6 @@ from benchmarks.random_scenes import (
     check_spoilt,
     check_valid,
     just_over_base,
-    said,
     spoilt_recipes,
     survey,
 )
@@ -138,14 +137,6 @@ def test_a_camera_of_any_distortion_can_be_made_with_tolerances(distortion: list
 def test_what_random_recipes_found_is_refused(key: str, value: Any, words: str) -> None:
     with pytest.raises(RecipeError, match=words):
         load_scene("dataset_kamiyama", {key: value})
-
-
-def test_a_number_of_many_digits_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "long.toml").write_text("seed = " + "9" * 5000)
-    code, told = said(["check", str(tmp_path / "long.toml")])
-    assert (code, "not valid TOML" in told) == (2, True)
-    code, told = said(["run", "block_bare", "-s", "seed=" + "9" * 5000])
-    assert (code, "-s seed" in told) == (2, True)
 
 
 def test_black_markers_on_black_ground_have_no_bound_and_no_error() -> None:

@@ -14,21 +14,14 @@ from twin.theory.optics import air_tangents, project, project_with_jacobian, ray
 
 GLASS = Camera.Layer(index=1.49, thickness_mm=10)
 FLAT = Camera(focal_px=1814.8, pupil_mm=(0, 0, 108.85), layers=(GLASS,))
-TURNED = Camera(
-    focal_px=1814.8, pupil_mm=(1, -2, 108.85), tilt_deg=(0.5, -1, 2), distortion=(-0.1, 0.02), layers=(GLASS,)
-)
-WIDE = Camera(
-    lens="equidistant",
-    focal_px=230,
-    pupil_mm=(0.1, 0, 12),
-    tilt_deg=(0.5, -1, 2),
-    distortion=(-0.02, 0.001),
-    layers=(Camera.Layer(index=1.49, thickness_mm=1),),
-)
+TURNED = FLAT.model_copy(update={"pupil_mm": (1, -2, 108.85), "tilt_deg": (0.5, -1, 2), "distortion": (-0.1, 0.02)})
+PLATE = Camera.Layer(index=1.49, thickness_mm=1)
+FISHEYE = {"lens": "equidistant", "layers": (PLATE,)}
+WIDE = Camera(focal_px=230, pupil_mm=(0.1, 0, 12), tilt_deg=(0.5, -1, 2), distortion=(-0.02, 0.001), **FISHEYE)
 
 
 def bent(kind, focal_px, *distortion):
-    layers = (Camera.Layer(index=1.49, thickness_mm=1), Camera.Layer(index=1.33, thickness_mm=0.5))
+    layers = (PLATE, Camera.Layer(index=1.33, thickness_mm=0.5))
     pose = {"aspect": 1.05, "pupil_mm": (0.5, 0.2, 13), "tilt_deg": (1, 2, 3), "layers": layers}
     return Camera(lens=kind, focal_px=focal_px, distortion=distortion, **pose)
 
@@ -170,15 +163,9 @@ def test_no_points_give_no_pixels():
 def test_lenses_agree_with_opencv():
     told = json.loads((REFERENCE / "opencv.json").read_text())
     points = np.array(told["points"])
+    keys = {key: told[key] for key in ("focal_px", "aspect", "principal_px")}
     for row in told["rows"]:
-        camera = Camera(
-            lens=row["lens"],
-            focal_px=told["focal_px"],
-            aspect=told["aspect"],
-            pupil_mm=(0, 0, 60),
-            principal_px=tuple(told["principal_px"]),
-            distortion=tuple(row["distortion"]),
-        )
+        camera = Camera(lens=row["lens"], distortion=row["distortion"], pupil_mm=(0, 0, 60), **keys)
         wide = 4 if row["lens"] == "equidistant" else 1
         towards = points * [wide, -wide, -1]
         assert_allclose(lens(towards, camera), row["places_px"], atol=1e-9)
@@ -191,13 +178,7 @@ def test_lenses_agree_with_opencv():
 def test_fields_of_view_up_to_half_the_sky_invert(field_deg, distortion):
     # A fisheye whose picture is about the field wide: at 180 deg its edge looks along the layers.
     half = np.deg2rad(field_deg / 2)
-    camera = Camera(
-        lens="equidistant",
-        focal_px=320 / half,
-        pupil_mm=(0, 0, 12),
-        distortion=distortion,
-        layers=(Camera.Layer(index=1.49, thickness_mm=1),),
-    )
+    camera = Camera(focal_px=320 / half, pupil_mm=(0, 0, 12), distortion=distortion, **FISHEYE)
     angle = np.linspace(0, half, 200)[:, None]
     pixels = lens(np.hstack([np.sin(angle) * [0.6, -0.8], -np.cos(angle)]), camera)
     origins, directions = rays(pixels, camera, RUBBER, 10.0)
@@ -221,9 +202,7 @@ def test_what_is_not_seen_has_no_place():
 
 def test_any_number_of_layers_is_one_of_the_same_optical_path():
     # A layer cut in two is the same layer everywhere.
-    cut = FLAT.model_copy(
-        update={"layers": (Camera.Layer(index=1.49, thickness_mm=4), Camera.Layer(index=1.49, thickness_mm=6))}
-    )
+    cut = FLAT.model_copy(update={"layers": tuple(Camera.Layer(index=1.49, thickness_mm=t) for t in (4, 6))})
     points = points_in(40, 16, FLAT)
     assert_allclose(project(points, cut, RUBBER, 40.0), project(points, FLAT, RUBBER, 40.0), atol=1e-9)
 
