@@ -95,7 +95,7 @@ def _stages() -> Iterator[dict[str, float]]:
         "picture": (sensor.Sensor, "seen"),
         "ccd": (exposure, "expose"),
         "png": (sample, "png_bytes"),
-        "parquet": (sample, "parquet"),
+        "parquet": (sample, "_parquet"),
     }
     spent = dict.fromkeys(where, 0.0)
 

@@ -406,8 +406,9 @@ def test_samples_that_are_all_the_same_press_are_said(tmp_path: Path) -> None:
     assert Plan(scene, 1).alike == Plan(small_scene(), 4).alike == ""
 
 
-def test_time_is_estimated_from_cpu_seconds_of_samples_and_sensors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_is_estimated_once_from_cpu_seconds_of_samples_and_sensors(monkeypatch, tmp_path: Path) -> None:
     cpu = [0.0]
+    monkeypatch.setattr("twin.study.batch.pool.cache_folder", lambda: tmp_path)
 
     def takes(*seconds: float) -> Callable[[Path, int], ShardBytes]:
         def work(folder: Path, number: int) -> ShardBytes:
@@ -425,6 +426,11 @@ def test_time_is_estimated_from_cpu_seconds_of_samples_and_sensors(monkeypatch: 
     assert "2 s of CPU a sample" in told[-1]
     assert "6 s to begin, 3 s for each further sensor" in told[-1]
     assert records[-1]["seconds"] == 6 + (300 * 2 + 99 * 3 + 3 * 2) / 2
+    spent = cpu[0]
+    more = [line for line, _ in create.estimate(small_scene(columns=("force_n",)), 600, workers=2)]
+    assert "about 15 min with 2 workers" in more[-1]
+    assert "(of 3 tried, made before)" in more[-1]
+    assert cpu[0] == spent
     few = [line for line, _ in create.estimate(small_scene(columns=("force_n",), vary={}), 3)]
     assert "about 14 s with 1 worker" in few[-2]
     assert "the same one" in few[-1]

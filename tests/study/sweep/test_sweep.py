@@ -252,7 +252,7 @@ def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(tmp_path, mo
     clock = SimpleNamespace(process_time=lambda: cpu[0], perf_counter=lambda: 0.0)
     monkeypatch.setattr(design_rows, "time", clock)
     monkeypatch.setattr(fidelities, "linear", row)
-    monkeypatch.setattr(design_rows, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("twin.study.batch.pool.cache_folder", lambda: tmp_path)
     told = sweep_run.estimate(*small(), workers=2)[-1][0]
     assert "6 designs, about 9 s with 2 workers" in told
     assert "2 s of CPU a design (an estimate from 4 designs), 3 s to begin" in told

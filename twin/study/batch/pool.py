@@ -19,6 +19,7 @@ import ctypes
 import hashlib
 import importlib
 import importlib.metadata
+import json
 import logging
 import math
 import multiprocessing
@@ -37,7 +38,7 @@ from typing import Any
 
 from twin.blas_threads import one_thread
 from twin.errors import InputError, MissingCapability, TwinError
-from twin.files import make_folder, temporary_folder
+from twin.files import cache_folder, kept_if_possible, make_folder, temporary_folder, write_json
 
 Work = Callable[[Path, int], Any]
 """Computes task number n of the job whose files are in a folder."""
@@ -108,6 +109,23 @@ class Job:
                 (folder / path).parent.mkdir(parents=True, exist_ok=True)
                 (folder / path).write_bytes(data)
             yield folder
+
+    @staticmethod
+    def remembered(
+        kind: str, of: Any, measure: Callable[[], dict[str, Any]]
+    ) -> tuple[dict[str, Any], str]:
+        """Return what was measured for an estimate, and ``", made before"`` where the cache has it,
+        of the same by these versions on this machine; not kept where something ``failed``."""
+        made_by = hashlib.sha256(json.dumps([of, versions(), platform.node()]).encode())
+        kept = cache_folder() / f"{kind}-cost-{made_by.hexdigest()[:32]}.json"
+        with suppress(OSError, ValueError):
+            found: dict[str, Any] = json.loads(kept.read_text())
+            return found, ", made before"
+        found = measure()
+        if not found["failed"]:
+            with kept_if_possible():
+                write_json(kept, found)
+        return found, ""
 
 
 class Pool:

@@ -30,7 +30,7 @@ from twin.study.batch.pool import Job, Pool, counted, only_writer
 from twin.study.dataset.audit import FIGURES, audit
 from twin.study.dataset.columns import Column
 from twin.study.dataset.plan import Places, Plan
-from twin.study.dataset.prepare import prepare
+from twin.study.dataset.prepare import portable, prepare
 from twin.study.dataset.reader import DatasetReader
 from twin.study.dataset.sample import audit_sample, make_shard
 
@@ -415,40 +415,30 @@ def estimate(
     cut = {"samples_per_shard": TRIED, "samples_per_sensor": 2 * TRIED, "sampling": "random"}
     tried = scene.model_copy(update={"dataset": scene.dataset.model_copy(update=cut)})
     Plan(tried, samples).check()
-    with tempfile.TemporaryDirectory(prefix="twin-estimate-") as name, one_thread():
-        places = Places(Path(name))
-        places.meta.mkdir()
-        prepare(Plan(tried, 2 * TRIED + 1), places, progress)
-        with places.job.unpacked() as folder:
-            first, begun = _timed(make_shard, folder, 0)
-            shard, made = _timed(make_shard, folder, 1)
-            _, again = _timed(audit_sample, folder, TRIED)
-            another = _timed(make_shard, folder, 2)[1] if sensors > 1 else 0.0
-        size = float(sum(path.stat().st_size for path in places.meta.iterdir()))
+    several = sensors > 1
+    found, again = Job.remembered(
+        "dataset",
+        [portable(tried)[0].to_toml(), several],
+        lambda: _measured(tried, several, progress),
+    )
     if progress is not None:
         progress("done", 1.0)
-    each = made / TRIED
-    start = max(begun - made, 0.0)
-    sensor = max(another - each, 0.0)
-    shared = samples * each + (sensors - 1) * sensor + audits * again
-    size += len(shard.samples) / TRIED * samples + len(first.sensors or b"") * sensors
-    rows = ""
-    if scene.dataset.every_step:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        tried_rows = pq.read_metadata(pa.BufferReader(shard.samples)).num_rows
-        rows = f" of {tried_rows / TRIED:g} rows each"
+    each = found["made_s"] / TRIED
+    start = max(found["begun_s"] - found["made_s"], 0.0)
+    sensor = max(found["another_s"] - each, 0.0)
+    shared = samples * each + (sensors - 1) * sensor + audits * found["again_s"]
+    size = found["meta_b"] + found["samples_b"] / TRIED * samples + found["sensor_b"] * sensors
+    rows = f" of {found['rows'] / TRIED:g} rows each" if scene.dataset.every_step else ""
     on = f"{counted(sensors, 'sensor')}, in {counted(plan.shards, 'file')}"
     seconds = start + shared / workers
     text = (
         f"about {_duration(seconds)} with {counted(workers, 'worker')}, a free core each: "
-        f"{{sample_s:.3g}} s of CPU a sample (of {TRIED} tried), {{again_s:.2g}} s for each of the "
-        f"{audits} computed again, {{begin_s:.2g}} s to begin"
+        f"{{sample_s:.3g}} s of CPU a sample (of {TRIED} tried{again}), {{again_s:.2g}} s for each "
+        f"of the {audits} computed again, {{begin_s:.2g}} s to begin"
     )
     if sensors > 1:
         text += ", {sensor_s:.2g} s for each further sensor"
-    times = {"seconds": seconds, "sample_s": each, "again_s": again, "begin_s": start}
+    times = {"seconds": seconds, "sample_s": each, "again_s": found["again_s"], "begin_s": start}
     times |= {"sensor_s": sensor}
     facts = [
         fact("samples", f"{samples}{rows} on {on}", {"sensors": sensors, "files": plan.shards}),
@@ -459,9 +449,41 @@ def estimate(
     ]
     if plan.alike:
         facts.append(fact("warning", plan.alike))
-    if shard.failed:
-        facts.append(fact("failures", f"{shard.failed} of {TRIED} tried: {shard.reason}"))
+    if found["failed"]:
+        facts.append(fact("failures", f"{found['failed']} of {TRIED} tried: {found['reason']}"))
     return facts
+
+
+def _measured(tried: Scene, several: bool, progress: Progress | None) -> dict[str, Any]:
+    """Return CPU seconds and bytes of a few samples of one made sensor, and of ``several``."""
+    with tempfile.TemporaryDirectory(prefix="twin-estimate-") as name, one_thread():
+        places = Places(Path(name))
+        places.meta.mkdir()
+        prepare(Plan(tried, 2 * TRIED + 1), places, progress)
+        with places.job.unpacked() as folder:
+            first, begun = _timed(make_shard, folder, 0)
+            shard, made = _timed(make_shard, folder, 1)
+            _, again = _timed(audit_sample, folder, TRIED)
+            another = _timed(make_shard, folder, 2)[1] if several else 0.0
+        size = float(sum(path.stat().st_size for path in places.meta.iterdir()))
+    rows = TRIED
+    if tried.dataset.every_step:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        rows = pq.read_metadata(pa.BufferReader(shard.samples)).num_rows
+    return {
+        "begun_s": begun,
+        "made_s": made,
+        "again_s": again,
+        "another_s": another,
+        "meta_b": size,
+        "samples_b": len(shard.samples),
+        "sensor_b": len(first.sensors or b""),
+        "rows": rows,
+        "failed": shard.failed,
+        "reason": shard.reason,
+    }
 
 
 def _timed(work: Callable[..., T], *arguments: Any) -> tuple[T, float]:

@@ -38,7 +38,7 @@ def prepare(plan: Plan, places: Places, progress: Progress | None) -> Plan:
             f"{places.folder}: has data but no meta/info.json, so it is no dataset; give another "
             f"--out"
         )
-    scene, files = _portable(plan.scene)
+    scene, files = portable(plan.scene)
     _put_down(scene, files, places.meta)
     _pin_meshes(places.meta, progress)
     meshes = {p.name: file_digest(p) for p in sorted(places.meta.glob("*.npz"))}
@@ -135,7 +135,7 @@ def _resumed(plan: Plan, places: Places) -> Plan:
         raise InputError(
             f"{places.info}: meshes, versions or renderer are missing or damaged; copy it again"
         )
-    scene, files = _portable(plan.scene)
+    scene, files = portable(plan.scene)
     fresh = _info(Plan(scene, plan.samples), facts["meshes"])
     where = f"{places.folder}: a dataset was begun here"
     if facts["content"] != fresh["content"]:
@@ -173,7 +173,7 @@ def _difference(old: Any, new: Any) -> str:
     return ", ".join(f"{k} {old.get(k)} then, {new.get(k)} now" for k in keys)
 
 
-def _portable(scene: Scene) -> tuple[Scene, dict[str, Path]]:
+def portable(scene: Scene) -> tuple[Scene, dict[str, Path]]:
     """Return the scene with bare names in place of paths, and the files by these names.
 
     Names are hashes of the contents: a probe's file may be one of several that vary, and a changed

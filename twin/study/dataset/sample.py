@@ -410,14 +410,14 @@ def make_shard(folder: Path, shard: int) -> ShardBytes:
         words = {"twin.content": shop.content, "twin.samples": f"{numbers.start}-{numbers.stop}"}
         ours = [row for number, row in sensors.items() if number in firsts]
         return ShardBytes(
-            samples=parquet(rows, plan.row_columns, words),
-            sensors=parquet(ours, plan.sensor_columns, words) if ours else None,
+            samples=_parquet(rows, plan.row_columns, words),
+            sensors=_parquet(ours, plan.sensor_columns, words) if ours else None,
             failed=failed,
             reason=reason,
         )
 
 
-def parquet(
+def _parquet(
     rows: list[dict[str, Any]], columns: Sequence[Column], words: Mapping[str, str]
 ) -> bytes:
     """Return rows as a Parquet file with a line about every column; missing values are null,
@@ -455,16 +455,16 @@ def _array(values: list[Any], kind: pa.DataType) -> pa.Array:
     if not pa.types.is_list(kind):
         return pa.array(values, kind)
     present = [np.ascontiguousarray(v) for v in values if v is not None]
-    lengths = np.array([0 if v is None else len(v) for v in values])
-    offsets = pa.array(np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32))
+    # A list that is missing has no start; a mask says so too, but loads pyarrow.compute: 0.3 s.
+    ends = np.cumsum([0, *(0 if v is None else len(v) for v in values)], dtype=np.int32)
+    starts = pa.array(ends, mask=np.array([*(v is None for v in values), False]))
     inner = kind.value_type
     size = inner.list_size if pa.types.is_fixed_size_list(inner) else 1
     numbers = np.concatenate([v.reshape(-1) for v in present]) if present else np.zeros(0)
     flat: Any = pa.array(numbers, inner.value_type if size > 1 else inner)
     if size > 1:
         flat = pa.FixedSizeListArray.from_arrays(flat, type=inner)
-    mask = pa.array([v is None for v in values])
-    return pa.ListArray.from_arrays(offsets, flat, type=kind, mask=mask)
+    return pa.ListArray.from_arrays(starts, flat, type=kind)
 
 
 def audit_sample(folder: Path, sample: int) -> dict[str, float]:

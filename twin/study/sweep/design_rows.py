@@ -12,12 +12,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import platform
 import time
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +23,7 @@ import numpy as np
 
 from twin.arrays import Progress
 from twin.blas_threads import one_thread
-from twin.files import cache_folder, kept_if_possible, write_json, write_whole
+from twin.files import write_whole
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.study.batch.draw import SceneTable
@@ -116,24 +114,21 @@ class Rows:
         times = sweep.sensors if stage == "full" else 1
         few = sweep.model_copy(update={"sensors": sweep.sensors // times})
         job = _job_of(few, scene, stage, [tried[0], *tried], 1)  # the first twice: it begins
-        how = f"an estimate from {counted(len(tried), 'design')}"
-        made_by = hashlib.sha256(json.dumps([job.name, versions(), platform.node()]).encode())
-        kept = cache_folder() / f"sweep-cost-{made_by.hexdigest()[:32]}.json"
-        with suppress(OSError, ValueError, KeyError):
-            found = json.loads(kept.read_text())
-            return found["each_s"], found["begin_s"], found["rows"], f"{how}, made before"
-        with one_thread(), job.unpacked() as folder:
-            began = time.process_time()
-            job.task(folder, 0)
-            started = time.process_time()
-            rows = [job.task(folder, k).rows[0] for k in range(1, 1 + len(tried))]
-            spent = (time.process_time() - started) / len(rows)
+
+        def measured() -> dict[str, Any]:
+            with one_thread(), job.unpacked() as folder:
+                began = time.process_time()
+                job.task(folder, 0)
+                started = time.process_time()
+                rows = [job.task(folder, k).rows[0] for k in range(1, 1 + len(tried))]
+                spent = (time.process_time() - started) / len(rows)
             begin = max(started - began - spent, 0.0)
-            each = times * spent
-        if all(row["status"] == "ok" for row in rows):
-            with kept_if_possible():
-                write_json(kept, {"each_s": each, "begin_s": begin, "rows": rows})
-        return each, begin, rows, how
+            failed = any(row["status"] != "ok" for row in rows)
+            return {"each_s": times * spent, "begin_s": begin, "rows": rows, "failed": failed}
+
+        found, again = Job.remembered("sweep", job.name, measured)
+        how = f"an estimate from {counted(len(tried), 'design')}{again}"
+        return found["each_s"], found["begin_s"], found["rows"], how
 
     def _compute(self, stage: str, missing: Mapping[str, dict[str, Any]]) -> None:
         """Compute and store the rows of designs, by key, in tasks."""
