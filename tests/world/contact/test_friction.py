@@ -205,20 +205,6 @@ def test_a_probe_that_is_lifted_over_is_pressed_anew_where_it_comes_down(probe, 
     assert_allclose(over.force_n[:2], 0.0, atol=1e-3 * over.force_n[2])
 
 
-def test_a_sheared_push_takes_few_newton_steps(monkeypatch):
-    """From a push without friction, with the shear of Cattaneo and Mindlin: 5; without it 7."""
-    steps, real = [], load_step.solve_coulomb
-
-    def counting(*arguments):
-        found = real(*arguments)
-        steps.append(found.steps)
-        return found
-
-    monkeypatch.setattr(load_step, "solve_coulomb", counting)
-    pressed(ball(30, friction=0.4, steps=(pushed(0.12),)), across=12, increments=1)
-    assert steps[0] <= 5
-
-
 def test_many_small_steps_are_taken_in_few_parts_each(monkeypatch):
     """Each part is solved under a `Control` of its own; a step that changes nothing takes none."""
     steps, step, control = [], load_step.load_step, load_step.Control

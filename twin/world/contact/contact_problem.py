@@ -474,8 +474,6 @@ class ContactHistory:
         (p,) probes that are off the body and stay off.
     dissipated_nmm
         Work that friction has taken so far, N mm.
-    trend
-        What the last step changed, for a guess at what the next one does.
     time_s
         Time since the path's beginning, s.
     memory
@@ -483,15 +481,6 @@ class ContactHistory:
     moved_mm
         (k, 3) how far the memory alone moves the patches within a part; None outside.
     """
-
-    @dataclass(frozen=True, kw_only=True)
-    class Trend:
-        """What the last step of a path changed: forces (k, 3), place (6 p,), and what was given (6
-        p,)."""
-
-        force_n: Floats
-        pose: Floats
-        given: Floats
 
     touched: Bools
     slipping: Bools
@@ -505,7 +494,6 @@ class ContactHistory:
     slid_mm: Floats
     lifted: Bools
     dissipated_nmm: float = 0.0
-    trend: Trend | None = None
     time_s: float = 0.0
     memory: RubberMemory | None = None
     moved_mm: Floats | None = None

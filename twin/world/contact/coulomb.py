@@ -263,11 +263,6 @@ _GOAL = 1e-10
 _FAR = 1e4
 """A step of the probe over the contact's size that only a singular system asks for."""
 
-_HOLDS = 0.03
-_STAYS = 1e-6
-"""Least weight of a patch that slips in the fit of a first place, and that of the place staying as
-it is."""
-
 _SETTLES = 1.0
 _FACTOR = 7.4
 _MISSES = 8
@@ -400,38 +395,6 @@ def _newton_step(
     return force, pose
 
 
-def _fitted(
-    problem: UnilateralProblem, force: Floats, displacement: Floats, pose: Floats
-) -> Floats:
-    """Return the place that fits forces (k, 3) best: patches that are pushed touch, those within
-    their cones stick.
-
-    Least squares, weighted with the normal forces and with what friction has left to carry.
-    """
-    gap, slope = problem.gap(pose)
-    push = np.where(np.isfinite(gap), np.maximum(force[:, 2], 0.0), 0.0)
-    used = np.hypot(force[:, 0], force[:, 1]) / np.maximum(problem.most_sideways(push), 1e-300)
-    holds = push * np.clip(1.0 - used, _HOLDS, 1.0)
-    free = np.flatnonzero(problem.by_force)
-    size = float(push.sum())
-    if len(free) == 0 or size == 0.0:
-        return pose
-    root = np.sqrt(np.column_stack([holds, holds, push]))[..., None]
-    behind = np.empty_like(force)
-    behind[:, :2] = displacement[:, :2] - problem.contact_jacobian[:, :2] @ pose - problem.offset
-    behind[:, 2] = displacement[:, 2] + np.where(push > 0.0, gap, 0.0)
-    moves = problem.contact_jacobian[..., free].copy()
-    moves[:, 2] = -slope[:, free]
-    moves = (moves * root).reshape(-1, len(free)) / problem.lever_arm[free]
-    found = np.linalg.solve(
-        moves.T @ moves + _STAYS * size * np.eye(len(free)),
-        moves.T @ (behind * root[..., 0]).reshape(-1),
-    )
-    fitted = pose.copy()
-    fitted[free] += found / problem.lever_arm[free]
-    return fitted
-
-
 def _slides_off() -> ContactError:
     return ContactError(
         "contact: every patch slips, so that nothing balances a force that is given along x or y, "
@@ -523,7 +486,6 @@ def _newton(
     pose = np.where(problem.by_force, pose, problem.given)
     if displacement is None:
         displacement = problem.displacement(force)
-        pose = _fitted(problem, force, displacement, pose)
     trial = _tried(problem, scale, force, displacement, pose)
     left = trial.size(lever_arm)
     if trial.force.any() and left <= _GOAL * float(np.linalg.norm(trial.force)):

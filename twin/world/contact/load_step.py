@@ -6,9 +6,8 @@ with each held by friction from the moment at which it touched. With 8 parts the
 sphere at nu = 0.3 is within 0.05 % of many parts, and the motion under a force that grows obliquely
 within 2 % of the closed form. A part without an equilibrium is halved, a few times.
 
-**Predictors** are where Newton's steps start: the straight continuation of the path, or, as a probe
-touches first, a frictionless push with the shear of Cattaneo and Mindlin (`_predict_shear`), which
-saves two Newton steps of seven.
+**Predictors** are where Newton's steps start: the straight continuation of the path within a step,
+or, as a probe touches first, a frictionless push.
 
 **Limit load.** A side force and a torque are balanced by friction forces of at most mu f_n if and
 only if no motion v of the probe gains more work from them than friction takes, the sum of
@@ -33,12 +32,7 @@ from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
 from twin.world.contact.contact_problem import ContactHistory, Control, FrictionalContact
 from twin.world.contact.coulomb import solve_coulomb
 from twin.world.contact.friction_law import LAW
-from twin.world.contact.probe_gap import MOTIONS, TURN, X, Y, Z
-
-_FORESEEN = 4.0
-"""How many times as far as the last step another may go on in the same way."""
-
-_BISECTIONS = 20
+from twin.world.contact.probe_gap import TURN, X, Y, Z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,25 +79,6 @@ class _Guess:
         )
 
 
-def _extrapolate_step(history: ContactHistory, control: Control, start: Floats) -> _Guess | None:
-    """Return what a step leads to if it changes as the last one did; None where it doesn't go on in
-    the same way."""
-    if history.trend is None:
-        return None
-    wanted = control.given - start
-    last = history.trend.given
-    length = float(last @ last)
-    share = float(wanted @ last) / length if length > 0.0 else 0.0
-    if (
-        not 0.0 < share <= _FORESEEN
-        or np.abs(wanted - share * last).max() > 1e-6 * np.abs(wanted).max()
-    ):
-        return None
-    force = history.force_n + share * history.trend.force_n
-    pose = np.where(control.by_force, history.pose + share * history.trend.pose, control.given)
-    return _Guess(force_n=force, pose=pose, active=history.touched)
-
-
 def _predict(
     grid: FrictionalContact,
     problem: UnilateralProblem,
@@ -112,7 +87,7 @@ def _predict(
     guess: _Guess | None,
 ) -> _Guess:
     """Return where to start on a part: at a guess that has forces, else at the last forces or a
-    push, and sheared."""
+    push."""
     if guess is not None and guess.force_n.any():
         return guess
     force = history.force_n
@@ -122,7 +97,7 @@ def _predict(
         pushed = _predict_frictionless(grid, problem, history, control, active)
         force = pushed.force_n
         pose = pushed.pose
-    return _Guess(force_n=_predict_shear(problem, force), pose=pose, active=active)
+    return _Guess(force_n=force, pose=pose, active=active)
 
 
 def _nearest(
@@ -160,42 +135,6 @@ def _predict_frictionless(
         pushing=control.pushing,
     )
     return solve(held, active, np.where(control.by_force, history.pose, control.given))
-
-
-def _predict_shear(problem: UnilateralProblem, force: Floats) -> Floats:
-    """Return forces (k, 3) with friction for the sideways forces that they lack: a ring slips, the
-    middle sticks.
-
-    Notes
-    -----
-    Friction is mu (p - p*), p* being the pressure of the smaller contact that sticks (M.
-    Ciavarella, Int. J. Solids Struct. 35 (1998) 2349; Cattaneo's and Mindlin's superposition for
-    any shape). Of a sphere p*^2 = p^2 - s^2.
-    """
-    force = force.copy()
-    lacking = np.where(problem.by_force, problem.given - problem.total(force), 0.0).reshape(
-        -1, MOTIONS
-    )[:, :Z]
-    for number, (x, y) in enumerate(lacking):
-        most = math.hypot(x, y)
-        push = np.maximum(force[:, 2], 0.0)
-        along = (
-            problem.contact_jacobian[:, :2, MOTIONS * number : MOTIONS * number + Z]
-            @ np.array([x, y])
-            / (most or 1.0)
-        )
-        friction = np.where(np.isfinite(problem.friction), problem.friction, 0.0)
-        carries = friction * np.einsum("ka,ka->k", along, along)
-        if not 0.0 < most < carries @ push:
-            continue
-        low = 0.0
-        high = float(push.max())
-        for _ in range(_BISECTIONS):
-            middle = (low + high) / 2.0
-            slips = push - np.sqrt(np.maximum(push**2 - middle**2, 0.0))
-            low, high = (middle, high) if carries @ slips < most else (low, middle)
-        force[:, :2] += along * (friction * slips)[:, None]
-    return force
 
 
 _DIRECTIONS = 4000
@@ -605,27 +544,9 @@ def load_step(
     before = None
     first = history
     start = np.where(control.by_force, history.total, history.pose)
-
-    def with_trend(then: ContactHistory) -> ContactHistory:
-        trend = ContactHistory.Trend(
-            force_n=then.force_n - first.force_n,
-            pose=then.pose - first.pose,
-            given=control.given - start,
-        )
-        return replace(then, trend=trend)
-
-    foreseen = _extrapolate_step(history, control, start)
-    parts = 1
-    if foreseen is not None and history.memory is not None and not grid.rubs.any():
-        # Without friction the change that is foreseen suffices: the whole step needs no solution.
-        parts = _parts(grid, history, control, increments, _changed(history, foreseen.force_n))
-    if parts > 1 and foreseen is not None and history.touched.any():
-        increments = parts
-        before = _Guess.at(history)
-        guess = before.on_line(foreseen, 1.0 / increments)
-    elif history.touched.any():
+    if history.touched.any():
         try:
-            whole = _part(grid, history, control, foreseen)
+            whole = _part(grid, history, control, None)
         except ContactError:
             pass  # a large step may fail where its parts succeed
         else:
@@ -635,7 +556,7 @@ def load_step(
                 # Elastic forces change linearly in time where the same patches are moved.
                 changed |= (there.active != history.touched) | bool(control.by_force.any())
             if not changed.any():
-                return with_trend(_remember(grid, history, there, control.time_s)), there, ""
+                return _remember(grid, history, there, control.time_s), there, ""
             slips = there.slipping & there.active
             turned = (there.active != history.touched) | (slips != history.slipping)
             share = float(turned.sum()) / float((there.active | history.touched).sum())
@@ -679,4 +600,4 @@ def load_step(
         before = here
     _refuse_slide(grid, history)
     assert found is not None, "a step has at least one part"
-    return with_trend(history), found, ""
+    return history, found, ""

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import accumulate, zip_longest
+from itertools import accumulate
 
 import numpy as np
 
@@ -168,9 +168,7 @@ class _Reach:
     pose: Floats = field(default_factory=lambda: np.zeros(MOTIONS))
     sideways: Floats = field(default_factory=lambda: np.zeros(2))
 
-    def after(
-        self, programme: LoadProgramme, number: int, step: Control, following: Control | None
-    ) -> _Reach:
+    def after(self, programme: LoadProgramme, number: int, step: Control) -> _Reach:
         """Return it after a step, pressed without friction where the probe slides to.
 
         A probe with friction on a slope carries part of a force along z by friction: its normal
@@ -178,8 +176,6 @@ class _Reach:
         """
         setup = programme.setups[number]
         own = step.of_probe(number)
-        if following is not None and _outdone(own, following.of_probe(number)):
-            return self
         control = _counted_from(own, self.pose)
         if self.box is not None and _only_leaves(step, number):
             return replace(self, pose=control.given)
@@ -221,15 +217,6 @@ def _only_leaves(step: Control, number: int) -> bool:
     own = step.of_probe(number)
     aside = np.delete(own.given, Z)
     return step.time_s > 0.0 and not (own.by_force.any() or aside.any() or own.given[Z] > 0.0)
-
-
-def _outdone(step: Control, following: Control) -> bool:
-    """Return whether the following step pushes as hard or harder at the same place, so that its
-    contact is larger."""
-    still = not any(np.where(one.by_force, 0.0, one.given).any() for one in (step, following))
-    push = float(step.given[Z])
-    next_push = float(following.given[Z])
-    return still and bool(step.by_force[Z] and following.by_force[Z]) and 0.0 < push <= next_push
 
 
 def _slid(setup: ProbeSetup, contact: Box, sideways: Floats, grip_mm: float, plane: Plane) -> Box:
@@ -316,7 +303,7 @@ class PathMemory:
         self._in_time = False
         self.states: list[ContactState] = []
         self.strained: list[tuple[ContactState, ContactState]] = []
-        self.reaches: list[_Reach] = []  # of every probe before the last step
+        self.reaches: list[_Reach] = []  # of every probe
         self.tried: list[_OnGrid] = []  # with friction or in time: the last one held the contact
         self.pose: Floats | None = None  # without friction
 
@@ -348,16 +335,12 @@ def _frictional_path(
     """Take the whole path, with friction or in time, on one grid; return the states, and why it
     stopped before its end, if it did."""
     # Where the probes reach, and the grid for that.
-    known = len(memory.states)
     reaches = memory.reaches or [
         _Reach(plane=plane, touch_z=touch_z)
         for plane, touch_z in (s.first_touch(np.zeros(MOTIONS)) for s in programme.setups)
     ]
-    steps = [*zip_longest(programme.steps, programme.steps[1:])][max(known - 1, 0) :]
-    before = reaches
-    for pair in steps:
-        before = reaches
-        reaches = [one.after(programme, number, *pair) for number, one in enumerate(reaches)]
+    for step in programme.steps[len(memory.states) :]:
+        reaches = [one.after(programme, number, step) for number, one in enumerate(reaches)]
     planes = [one.plane for one in reaches]
     boxes = [one.box for one in reaches if one.box is not None]
     if len(boxes) < len(reaches):
@@ -384,7 +367,7 @@ def _frictional_path(
         tried.append(one)
         if not _outgrown(boxes, one.grid.contacts, one.reached):
             if not one.reason:
-                memory.reaches = before
+                memory.reaches = reaches
                 memory.tried = tried
             return one.path, one.reason
     raise _grid_error(programme.setups[0], boxes[0])
