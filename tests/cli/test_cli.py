@@ -103,6 +103,8 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         ("run kamiyama_pillar -s markers.red.depth_mm=39.9", ["markers.red", "outside the body"]),
         ("run kamiyama_pillar -s seed", "key.path=value"),
         ("check nowhere", "no scene 'nowhere'"),
+        ("check DEEP.toml", "press: the sphere would sink in by 2.5 mm, allowed is up to 2 mm (half the body's thick"),
+        ("dataset NAN.toml --samples 3", "NAN.toml: vary.press.at_mm.low.0 = nan mm: must be a finite number\n"),
         ("check gelpad_press -s press.at_mm=[500,0]", "at (500, 0, 0) mm misses the sensing surface"),
         ("check gelpad_press -s seed=1e30", "seed = 1e+30: must be a whole number (allowed: 0 to"),
         ("check gelpad_press -s base=other", "base: unknown key; a scene file names its base"),
@@ -138,6 +140,9 @@ def test_wrong_input_is_told_in_the_users_terms(line, words, tmp_path, capsys, m
     Path("COMMA.toml").write_text('base = "gelpad_press"\nmaterial.youngs_modulus_mpa = 0,15\n')
     off = '[vary]\n"press.at_mm" = {low = [50, 50], high = [60, 60]}\n'
     Path("OFF.toml").write_text('base = "gelpad_press"\n' + off)
+    Path("NAN.toml").write_text('base = "gelpad_press"\n' + off.replace("50, ", "nan, "))
+    deep = '[press]\nprobe = {kind = "sphere", diameter_mm = 9}\nsteps = [{move_mm = {z = 1}}, {move_mm = {z = 1.5}}]\n'
+    Path("DEEP.toml").write_text('base = "gelpad_press"\n' + deep)
     Path("PICTURE").write_bytes(b"\x89PNG\r\n")
     Path("BODY.stl").write_bytes(bytes(84))
     Path("BODY.step").write_bytes(b"ISO-10303-21;")
@@ -160,6 +165,7 @@ def test_wrong_input_is_told_in_the_users_terms(line, words, tmp_path, capsys, m
         assert word in told
     assert "internal error" not in told
     assert told.count("displacement = ") <= 1
+    assert told.count("vary.") <= 1
     assert sorted(tmp_path.rglob("*")) == before
 
 

@@ -476,6 +476,13 @@ class Press(Part):
         first = first / np.linalg.norm(first)
         return frozen(np.stack([first, np.cross(along, first), along]))
 
+    @staticmethod
+    def deepest_mm(probe: Probe, thickness_mm: float) -> tuple[float, str]:
+        """Return how deep a probe may sink into a body so thick, and what this is."""
+        if isinstance(probe, Sphere) and probe.diameter_mm < thickness_mm:
+            return probe.diameter_mm / 2, "the probe's radius"
+        return thickness_mm / 2, "half the body's thickness"
+
     @property
     def path(self) -> tuple[Step, ...]:
         """The steps, shorthand spelt out; that of ``indentation_mm`` along the probe's own z."""

@@ -22,7 +22,9 @@ import numpy as np
 from twin.arrays import Floats, Picture
 from twin.errors import InputError, MissingCapability, RecipeError
 from twin.files import MESHES, SCENES, Fact, cache_folder, fact, read_arrays
+from twin.parts.body import Body
 from twin.parts.part import Part
+from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.study.doubts import doubts
 from twin.study.recipe import find_scene, load_scene, read_recipe
@@ -92,7 +94,7 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[Fact]:
         from twin.world.contact.probe_gap import Approach
 
         for press in scene.presses:
-            Approach.of_press(press, scene.body)
+            _check_depth(press, Approach.of_press(press, scene.body).axes, scene.body)
     if scene.reconstruction is not None:
         sensor.sites  # noqa: B018  refuses sites off the sensing surface
     _mesh_own_body(scene)
@@ -104,6 +106,22 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[Fact]:
     if bare := ", ".join(_unsourced(scene)):
         facts.append(fact("numbers without source or assumed", bare, mark=": "))
     return facts
+
+
+def _check_depth(press: Press, axes: Floats, body: Body) -> None:
+    """Refuse a press whose motions lead it deeper than a probe may sink in."""
+    (_, _, low), (_, _, high) = body.bounds_mm
+    limit, what = Press.deepest_mm(press.probe, high - low)
+    depth = 0.0
+    for by_force, given in press.in_own_axes(axes):
+        if by_force[2]:
+            return
+        depth += given[2]
+        if depth > limit:
+            raise InputError(
+                f"press: the {press.probe.kind} would sink in by {depth:.3g} mm, allowed is up to "
+                f"{limit:.3g} mm ({what}): reduce press.indentation_mm (or move_mm in the steps)"
+            )
 
 
 def _check_dataset(scene: Scene) -> list[str]:

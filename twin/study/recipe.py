@@ -417,8 +417,9 @@ def _nearest(errors: list[dict[str, Any]], table: Mapping[str, Any]) -> list[dic
     """Keep, of a value that fits no kind, the errors of the kind that it is nearest to."""
     by_value: dict[tuple[Any, ...], dict[Any, list[dict[str, Any]]]] = {}
     for error in errors:
-        loc = error["loc"]
-        keys = _keys(error["loc"], table)
+        # without the tags of distributions, of which there is one for a value
+        loc = tuple(part for part in error["loc"] if not str(part).startswith("["))
+        keys = _keys(loc, table)
         place = next(
             (i for i, part in enumerate(loc) if i >= len(keys) or keys[i] != part), len(loc)
         )

@@ -166,9 +166,7 @@ def reconstruct_recording(
     else:
         print("\n".join(summary.lines(bounded)), file=sys.stderr)
     if summary.failed:
-        raise SomeFailed(
-            f"{summary.failed} of {summary.count} frames failed, the first trouble: {summary.first}"
-        )
+        raise SomeFailed(f"{summary.failed} of {summary.count} frames failed")
 
 
 def _rest_pictures(path: Path) -> list[Picture]:
@@ -517,7 +515,6 @@ class _Summary:
         if scale_error == 0 and not in_time:
             self.causes += " alone"
         self.count, self.failed = 0, 0
-        self.first = ""
         self._doubted = 0
         self._last = ""
         self._largest: dict[str, Any] = {}
@@ -538,7 +535,6 @@ class _Summary:
             kind = "failed" if result.field is None else "doubtful"
             self.failed += kind == "failed"
             self._doubted += kind == "doubtful"
-            self.first = self.first or f"{result.name}: {result.reason}"
             if self.failed + self._doubted <= _SHOWN and result.reason != self._last:
                 print(f"twin: {kind}: {result.name}: {result.reason}", file=sys.stderr)
         self._last = result.reason

@@ -270,7 +270,12 @@ def test_a_full_disk_leaves_whole_files_and_the_same_command_goes_on(made, tmp_p
     ("key", "ends", "words"),
     [
         ("body.thickness_mm", (1, 2), "body can't vary"),
-        ("press.probe.width_mm", (1, 2), r"vary\.press\.probe\.cylinder\.width_mm: unknown key$"),
+        ("press.probe.width_mm", (1, 2), r"vary\.press\.probe\.width_mm: unknown key; it belongs to kind = 'pillar'$"),
+        (
+            "press.at_mm",
+            ((-1e300, 0.0), (1e300, 0.0)),
+            r"first: press\.at_mm\.0 = .* must be less than or equal to 10000 mm$",
+        ),
         ("press.at_m", (1, 2), "unknown key; did you mean 'at_mm'"),
         ("press.steps.3.torque_nmm", (1, 2), "no place in a list of 0"),
         ("markers.green.depth_mm", (1, 2), "no 'green'; known there are red, blue"),

@@ -10,7 +10,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -19,7 +19,7 @@ from twin.arrays import Floats
 from twin.errors import InputError, RecipeError, did_you_mean
 from twin.files import file_digest
 from twin.parts.load import Footprint, Load
-from twin.parts.part import Part, Purpose, in_words
+from twin.parts.part import Purpose
 from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.parts.shape import StlFile
@@ -27,6 +27,7 @@ from twin.parts.vary import Choice, Distribution, Follows, ForceCone, Normal, Un
 from twin.study.batch.draw import Sampling, SceneTable, Table, with_values
 from twin.study.batch.pool import Job
 from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR, Column, Kind, Need
+from twin.study.recipe import validate_scene
 
 FORMAT = 1
 """Version of the folder's layout and of the columns' meaning."""
@@ -57,12 +58,6 @@ MISSES = 8
 """Presses drawn first of which one must touch the body."""
 
 _WORK = "twin.study.dataset.sample:make_shard"
-
-P = TypeVar("P", bound=Part)
-
-
-class _UnknownKey(RecipeError):
-    """A key that varies is none of a press's."""
 
 
 @dataclass(frozen=True)
@@ -177,10 +172,13 @@ class Plan:
 
     def press_of(self, table: Any) -> Press | Load:
         """Return the press, or the load of tractions, of `press_table`; or raise `RecipeError`."""
-        if not self.scene.tractions:
-            return _valid(Press, table, "press")
-        loads = [_valid(Footprint, one, f"tractions.{i}").load() for i, one in enumerate(table)]
-        return sum(loads, Load())
+        try:
+            if not self.scene.tractions:
+                return Press.model_validate(table)
+            return sum((Footprint.model_validate(one).load() for one in table), Load())
+        except ValidationError:  # said in a recipe's words
+            validate_scene({**self._plain, self.load_table: table}, "")
+            raise
 
     @staticmethod
     def drawn_values(axes: Mapping[str, Distribution], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -232,9 +230,9 @@ class Plan:
         try:
             plain = self.press_table(self.press_values(range(1))[0])
             _ = self.press_of(plain)
-        except _UnknownKey:
-            raise
         except RecipeError as problem:
+            if unknown := [line for line in problem.problems if ": unknown key" in line]:
+                raise RecipeError([f"vary.{line}" for line in unknown]) from None
             # a value that is not allowed is the sample's failure, not the dataset's
             if not all(line.startswith(f"{self.load_table}.") for line in problem.problems):
                 raise
@@ -315,26 +313,6 @@ def _unit_numbers(
             sequence.fast_forward(first)
         points = sequence.random(last - first + 1)
     return np.asarray(points[np.asarray(numbers) - first, taken:])
-
-
-def _valid(part: type[P], table: Table, where: str) -> P:
-    try:
-        return part.model_validate(table)
-    except ValidationError as problem:
-        lines = []
-        kind = RecipeError
-        for error in problem.errors():
-            key = ".".join(str(k) for k in (where, *error["loc"]))
-            if error["type"] == "extra_forbidden":
-                kind = _UnknownKey
-                hint = ""
-                if len(error["loc"]) == 1:  # of a press itself; a probe's keys are its kind's
-                    otherwise = f"known are {', '.join(part.model_fields)}"
-                    hint = f"; {did_you_mean(str(error['loc'][0]), part.model_fields, otherwise)}"
-                lines.append(f"vary.{key}: unknown key{hint}")
-            else:
-                lines.append(f"{key}: {in_words(error)}")
-        raise kind(lines) from None
 
 
 class Places:

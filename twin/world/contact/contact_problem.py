@@ -25,7 +25,7 @@ from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import ContactError
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
-from twin.parts.press import Cone, Cylinder, Object, Pillar, Probe, Sphere, Stl
+from twin.parts.press import Cone, Cylinder, Object, Pillar, Press, Probe, Stl
 from twin.theory.relaxation import Relaxation, RubberMemory
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem
 from twin.world.contact.friction_law import STICKS_FROM
@@ -220,12 +220,8 @@ class ProbeSetup:
                 "(press.at_mm), or with less press.force_n or a smaller press.probe"
             )
         low, high = self.body.bounds_mm
-        limit = (high[2] - low[2]) / 2
-        what = "half the body's thickness"
         probe = self.probe
-        if isinstance(probe, Sphere) and probe.diameter_mm / 2 < limit:
-            limit = probe.diameter_mm / 2
-            what = "the probe's radius"
+        limit, what = Press.deepest_mm(probe, high[2] - low[2])
         if depth > limit:
             raise ContactError(
                 f"contact: the {probe.kind} sinks in by {depth:.3g} mm, allowed is up to "
