@@ -567,11 +567,7 @@ def _keys(location: tuple[Any, ...], table: Any) -> list[Any]:
     here = table
     for position, part in enumerate(location):
         if isinstance(here, Mapping):
-            is_tag = (
-                part in (here.get("kind"), here.get("shape"))
-                and part not in here
-                and position < len(location) - 1
-            )
+            is_tag = part in (here.get("kind"), here.get("shape")) and part not in here
             if is_tag or (part not in here and str(part).endswith("]")):
                 continue
             keys.append(part)
