@@ -759,7 +759,7 @@ def dataset(
     twin dataset dataset_sato --samples 100000 --scheduler tcp://10.0.0.1:8786
     """
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")  # read when numba is loaded; workers inherit it
-    from twin.study.dataset.create import create_dataset
+    from twin.study.dataset.create import create_dataset, estimate
     from twin.study.recipe import find_scene
 
     loaded = _load(scene, set_)
@@ -771,8 +771,6 @@ def dataset(
     workers, cluster = batch.workers_and_scheduler()
     folder = batch.out or Path("out") / find_scene(scene).stem
     if batch.dry_run:
-        from twin.study.dataset.create import estimate
-
         yield from estimate(loaded, samples, workers=workers, progress=_progress())
         return
     done = create_dataset(

@@ -88,20 +88,14 @@ def _verdict(result: RunResult) -> str:
 def _without_score(result: RunResult) -> str:
     truth = result.truth
     if truth is None or not len(truth.marker_displacement_mm):
-        return (
-            "the sensor is shown as it was seen"
-            if result.rest is not None
-            else "this run computed no motion"
-        )
+        seen = "the sensor is shown as it was seen"
+        return "this run computed no motion" if result.rest is None else seen
     size = float(np.linalg.norm(truth.marker_displacement_mm, axis=1).max())
     if size == 0:
         return "nothing presses on the sensor, and no marker moves"
-    force = (
-        f" under {digits(float(np.linalg.norm(truth.total_force_n)))} N"
-        if len(truth.total_force_n) == 3
-        else ""
-    )
-    return f"the markers move by up to {digits(size)} mm{force}"
+    force = float(np.linalg.norm(truth.total_force_n))
+    under = f" under {digits(force)} N" if len(truth.total_force_n) == 3 else ""
+    return f"the markers move by up to {digits(size)} mm{under}"
 
 
 def _figure(score: Mapping[str, Any], stage: str, key: str) -> float | None:
@@ -376,12 +370,10 @@ def _as_html(key: str, value: Any) -> str:
     if isinstance(value, int | float):
         return f'<data value="{value!r}">{_amount(key, value)}</data>'
     if isinstance(value, Mapping):
-        return (
-            "<br>".join(
-                f"{escape(_split_unit(str(k))[0])}: {_as_html(str(k), v)}" for k, v in value.items()
-            )
-            or "none"
+        rows = (
+            f"{escape(_split_unit(str(k))[0])}: {_as_html(str(k), v)}" for k, v in value.items()
         )
+        return "<br>".join(rows) or "none"
     if isinstance(value, list | tuple):
         return _list(key, value) if len(value) else "none"
     return escape(str(value))
@@ -449,12 +441,10 @@ def _sighting(result: RunResult) -> _Sighting | None:
 def _true_pixels(truth: Truth) -> tuple[Pixels, Pixels]:
     """Return (n, 2) rest places and shifts, px, of the visible outlines, which a tracker sees, else
     of the centres."""
-    if len(truth.marker_outline_rest_px) and len(truth.marker_outline_pressed_px):
-        return (
-            truth.marker_outline_rest_px,
-            truth.marker_outline_pressed_px - truth.marker_outline_rest_px,
-        )
-    return truth.marker_rest_px, truth.marker_pressed_px - truth.marker_rest_px
+    rest, pressed = truth.marker_outline_rest_px, truth.marker_outline_pressed_px
+    if not (len(rest) and len(pressed)):
+        rest, pressed = truth.marker_rest_px, truth.marker_pressed_px
+    return rest, pressed - rest
 
 
 def _marker_panels(seen: _Sighting, size_px: tuple[int, int] | None) -> str:
@@ -478,12 +468,10 @@ def _marker_panels(seen: _Sighting, size_px: tuple[int, int] | None) -> str:
 def _window(seen: _Sighting, size_px: tuple[int, int] | None) -> Axes:
     """Return the part of the picture in which the markers are."""
     left, right, low, high = _around(np.vstack([seen.true_rest_px, seen.tracked_rest_px]))
-    if size_px is not None:
-        left = max(left, -0.5)
-        right = min(right, size_px[1] - 0.5)
-        low = max(low, -0.5)
-        high = min(high, size_px[0] - 0.5)
-    return Axes.equal(left, right, high, low)
+    if size_px is None:
+        return Axes.equal(left, right, high, low)
+    bottom, side = size_px[0] - 0.5, size_px[1] - 0.5
+    return Axes.equal(max(left, -0.5), min(right, side), min(high, bottom), max(low, -0.5))
 
 
 def _shifts(seen: _Sighting, axes: Axes, scale: float, name: str, style: str, mask: Bools) -> str:
@@ -581,13 +569,8 @@ def _table(truth: Truth) -> str:
                 digits(float(moved[np.argmax(np.abs(moved[:, 2])), 2])),
             ]
         )
-    names = [
-        "markers",
-        "z at rest, mm",
-        "largest, mm",
-        "root mean square, mm",
-        "largest along z, mm",
-    ]
+    along = "largest along z, mm"
+    names = ["markers", "z at rest, mm", "largest, mm", "root mean square, mm", along]
     return _by_column("True displacement of the markers", heads, names, columns)
 
 
@@ -829,12 +812,8 @@ def _scale_note(scale: float, size: float, unit: str, directions: str) -> str:
     """Return how arrows are drawn: ``scale`` times as long; the longest is ``size`` in ``unit``."""
     if size == 0:
         return f"No marker moves. {directions}"
-    drawn = (
-        f"Arrows are drawn {digits(scale)} times as long as they are"
-        if scale != 1
-        else "Arrows are true to scale"
-    )
-    return f"{drawn}; the longest is {digits(size)} {unit}. {directions}"
+    drawn = f"drawn {digits(scale)} times as long as they are" if scale != 1 else "true to scale"
+    return f"Arrows are {drawn}; the longest is {digits(size)} {unit}. {directions}"
 
 
 def _longest(vectors: Floats) -> float:

@@ -97,7 +97,12 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[Fact]:
             _check_depth(press, Approach.of_press(press, scene.body).axes, scene.body)
     if scene.reconstruction is not None:
         sensor.sites  # noqa: B018  refuses sites off the sensing surface
-    _mesh_own_body(scene)
+    if scene.body.own_surface is not None:  # its mesh may be refused
+        from twin.world.mesh.body_mesh import body_mesh
+
+        body_mesh(scene.body, sensor.compliance.level)
+        if scene.reconstruction is not None:
+            body_mesh(scene.body, "nominal")
     warnings = (*doubts(scene), *_check_dataset(scene))
     facts = [
         fact(str(file), "ok", mark=": "),
@@ -133,19 +138,6 @@ def _check_dataset(scene: Scene) -> list[str]:
     plan = Plan(scene, 2)
     plan.check()
     return [plan.alike] if plan.alike else []
-
-
-def _mesh_own_body(scene: Scene) -> None:
-    """Mesh a body that is given by a file of its own, which may be refused."""
-    if scene.body.own_surface is None:
-        return
-    from twin.study.sensor import Sensor
-    from twin.world.mesh.body_mesh import body_mesh
-
-    sensor = Sensor(scene)
-    body_mesh(scene.body, sensor.compliance.level)
-    if scene.reconstruction is not None:
-        body_mesh(scene.body, "nominal")
 
 
 def _unsourced(part: Part, path: str = "") -> list[str]:

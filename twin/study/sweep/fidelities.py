@@ -152,14 +152,11 @@ def _axis_scale(designs: Designs, depth_mm: Floats) -> Floats:
     camera, _ = scene.imaging
     base_z = designs.numbers("body.thickness_mm", scene.body.base_z_mm)
     index = designs.numbers("material.refractive_index", scene.material.refractive_index)
-    layers = camera.window_mm
-    air: Floats = np.full(len(depth_mm), camera.pupil_mm[2]) - scene.body.base_z_mm - layers
-    if designs.swept("camera.pupil_mm"):
-        air = np.array([p[2] for p in designs.columns["camera.pupil_mm"]], float) - base_z - layers
-    elif designs.swept("body.thickness_mm"):
-        air = camera.pupil_mm[2] - base_z - layers
+    pupils = designs.columns.get("camera.pupil_mm", [camera.pupil_mm])
     apparent = (
-        air
+        np.array([place[2] for place in pupils], float)
+        - base_z
+        - camera.window_mm
         + sum(layer.thickness_mm / layer.index for layer in camera.layers)
         + (base_z - depth_mm) / index
     )

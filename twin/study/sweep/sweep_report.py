@@ -14,7 +14,6 @@ from scipy.stats import binned_statistic_2d
 from twin.arrays import Bools, Floats, Points
 from twin.files import make_folder, write_whole
 from twin.parts.part import Part, unit_of
-from twin.parts.scene import Scene
 from twin.parts.sweep import METRICS
 from twin.show.html_page import digits, figure, page, small_picture, table, two_columns
 from twin.show.svg_plots import Axes
@@ -33,23 +32,15 @@ def _write_best(done: Swept, folder: Path) -> dict[int, Path]:
     make_folder(folder / "best")
     for old in (folder / "best").glob("*.toml"):
         old.unlink()
+    sweep = done.designs.sweep
     best = {}
     for rank, number in enumerate(done.order[:MOST].tolist(), start=1):
+        title = f"Design {number} of the sweep '{sweep.title or sweep.scene}'"
+        origin = f"design {number} of a sweep of scene '{sweep.scene}'; what was not swept is its"
+        scene = done.designs.scene_of(number).model_copy(update={"title": title})
         best[number] = folder / "best" / f"{rank:02d}-design-{number}.toml"
-        write_whole(best[number], _design_scene(done, number).to_toml().encode())
+        write_whole(best[number], _assumed(scene, origin).to_toml().encode())
     return best
-
-
-def _design_scene(done: Swept, number: int) -> Scene:
-    """Return a design's scene, with where its numbers come from."""
-    sweep = done.designs.sweep
-    title = f"Design {number} of the sweep '{sweep.title or sweep.scene}'"
-    made = done.designs.scene_of(number).model_copy(update={"title": title})
-    origin = (
-        f"design {number} of a sweep of scene '{sweep.scene}'; what was not swept is that scene's"
-    )
-    scene: Scene = _assumed(made, origin)
-    return scene
 
 
 def _assumed(part: Any, origin: str) -> Any:
