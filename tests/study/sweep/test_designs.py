@@ -130,6 +130,7 @@ def test_every_wrong_key_of_a_file_is_said_with_the_file(tmp_path: Path) -> None
         ({**TABLE, "loads": {"size_mm": -1}}, "size_mm"),
         ({**TABLE, "loads": {"sise_mm": 1}}, "did you mean 'size_mm'"),
         ({**TABLE, "fidelity": ["exact"]}, "closed"),
+        ({**TABLE, "axes": {"markers.red.columns": {"low": 3, "high": 9, "steps": 5}}}, "= 4.5: .*; set whole = true"),
     ],
 )
 def test_bad_sweeps_are_refused_with_file_and_key(table: dict[str, Any], said: str, tmp_path: Path) -> None:

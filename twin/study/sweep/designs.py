@@ -168,8 +168,7 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
             try:
                 for key in _spelt_out(name, table):
                     table.look_up(key.rpartition(".")[0] or key)
-                    value = sweep.axes[name].at(np.zeros(1))[0] if part == "axes" else 1.0
-                    filled.put({key: value})
+                    filled.put({key: _telling(sweep, name) if part == "axes" else 1.0})
                     problems += _wrong_words(sweep, table, name, key)
             except RecipeError as problem:
                 problems.append(f"{part}.{name}: {str(problem).split(': ', 1)[-1]}")
@@ -181,6 +180,8 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
             if "unknown key" in line:
                 follows = any(_matches(name, line.split(":")[0]) for name in sweep.derived)
                 problems.append(f"{'derived' if follows else 'axes'}.{line}")
+            elif "whole number" in line:
+                problems.append(f"axes.{line}; set whole = true in a range")
     for key, rule in sweep.derived.items():
         if not any(_matches(name, rule.follows) for name in sweep.axes):
             try:
@@ -189,6 +190,13 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
                 problems.append(f"derived.{key}.follows: {str(problem).split(': ', 1)[-1]}")
     if problems:
         raise RecipeError(problems, where)
+
+
+def _telling(sweep: Sweep, name: str) -> Any:
+    """Return a value of an axis: one that is no whole number, if there is any."""
+    axis = sweep.axes[name]
+    values = axis.grid() if sweep.sampling == "grid" else axis.at(np.full(1, 0.37))
+    return next((v for v in values if isinstance(v, float) and v % 1), values[0])
 
 
 def _wrong_words(sweep: Sweep, table: SceneTable, name: str, key: str) -> list[str]:

@@ -504,6 +504,8 @@ def _overview(sweep: Sweep, scene: Scene) -> tuple[list[Fact], Ints, Designs]:
     ]
     for reason in sorted({str(r) for r in found if r}):
         facts.append(fact(f"{'':12s}{int((found == reason).sum())}", reason, mark=": "))
+    if not len(good):
+        facts.append(fact("warning", "no design is possible: change what the reasons name"))
     target = sweep.targets.get("two_point_mm")
     swept = designs.swept("reconstruction.sites.pitch_mm")
     if target is not None and scene.reconstruction and not swept and not sweep.loads.probe:
