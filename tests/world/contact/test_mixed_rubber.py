@@ -204,9 +204,9 @@ class Place(MixedRubber):
 
 def mixed(step, start, tolerance, seen=None):
     """Return the place (n,) where mixed steps end."""
-    mixing = MixedRubber.Mixing(len(start) if seen is None else seen, 5)
+    mix = MixedRubber.mixing(len(start) if seen is None else seen, 5)
     steps = (lambda one: Place(step(one.unknowns))), Place(start), 40, tolerance
-    return Place(start).newton(*steps, lambda one: Place(mixing.start(one.unknowns))).unknowns
+    return Place(start).newton(*steps, lambda one: Place(mix(one.unknowns))).unknowns
 
 
 def test_mixed_steps_solve_what_plain_steps_leave():

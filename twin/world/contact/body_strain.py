@@ -16,7 +16,7 @@ depends.
 Validity: rigid spheres, upright cylinders, pillars and cones, pressed along their ways without
 friction on a block, a finger or a dome, several of them by forces; one sphere with friction on a
 block or a finger, pressed by a force, moved sideways and turned about its way, and a cylinder or
-pillar while a part of it sticks; nu from 0.45.
+pillar while a part of it sticks; nu from 0.44.
 """
 
 from __future__ import annotations
@@ -136,6 +136,8 @@ class BodyStrain(FiniteStrain):
     probe with friction needs ``path``, all its states, and ``like`` from the state before.
     """
 
+    held_within = 5e-4
+
     _pair: _Pair
 
     def __init__(
@@ -158,7 +160,6 @@ class BodyStrain(FiniteStrain):
         _refuse(material, _unsolved(press, body, material) or _unsolved_state(press, state, path))
         if coarse:
             _refuse(material, _too_slow(press, body))
-        self.axes = axes
         self._body = body
         self._material = material
         self._path = tuple(path) or (state,)
@@ -355,7 +356,10 @@ class BodyStrain(FiniteStrain):
         for number in range(first, self._number + 1):
             parts = fineness.parts[min(number, 1)]
             if number:
-                parts = max(parts, math.ceil(self._way(number) / _WAY))
+                before, after = self._path[number - 1], self._path[number]
+                aside = self.axes[0][:Z] @ (after.move_mm - before.move_mm)
+                way = float(np.linalg.norm(aside)) / after.contact_radius_mm
+                parts = max(parts, math.ceil(way / _WAY))
             try:
                 linear, finite = self._one_step(contact, number, parts, linear, finite)
             except NotSettled:
@@ -363,12 +367,6 @@ class BodyStrain(FiniteStrain):
                     contact, number, 3 * parts, linear, finite, guided=True
                 )
         return linear, finite
-
-    def _way(self, number: int) -> float:
-        """Return how far the probe moves sideways in a step, over its contact's radius."""
-        before, after = self._path[number - 1], self._path[number]
-        moved = self.axes[0][:Z] @ (after.move_mm - before.move_mm)
-        return float(np.linalg.norm(moved)) / after.contact_radius_mm
 
     def _one_step(
         self,

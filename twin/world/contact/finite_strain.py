@@ -37,10 +37,7 @@ from twin.world.contact.probe_gap import Approach, Z
 from twin.world.contact.round_slab import FiniteStrain, SlabStrain
 
 _FORCES = 8
-_HELD = 5e-5
-_HELD_ON_CURVED = 5e-4
-"""Forces that are tried for a probe that a motion holds, and how far its indentation may be off,
-relative: on a slab and on a whole body."""
+"""Forces that are tried for a probe that a motion holds."""
 
 
 def _strain_of(
@@ -176,11 +173,6 @@ class _Found:
         """The force along the probe's way."""
         return float(self.approach.axes[Z] @ self.linear.force_n)
 
-    @property
-    def within(self) -> float:
-        """How far the indentation may be off where a motion holds the probe, relative."""
-        return _HELD if isinstance(self.more, SlabStrain) else _HELD_ON_CURVED
-
 
 def _held_by_motion(
     found: _Found,
@@ -199,7 +191,7 @@ def _held_by_motion(
     stiffening = 1.5
     for _ in range(_FORCES):
         aside = math.log(held.indentation_mm / found.deep_mm)
-        if abs(aside) < found.within:
+        if abs(aside) < found.more.held_within:
             return replace(found, stiffening=stiffening)
         force = found.force_n * math.exp(stiffening * aside)
         step = Step(force_n=(None, None, force), move_mm=(float(x), float(y), None))
@@ -208,7 +200,7 @@ def _held_by_motion(
         linear = solve(one).path[-1]
         more = _strain_of(one, body, material, linear, watched, like=found.more)
         after = _Found(linear, more, stiffening, found.approach)
-        if abs(aside) > 10.0 * found.within:
+        if abs(aside) > 10.0 * found.more.held_within:
             gained = math.log(after.deep_mm / found.deep_mm)
             stiffening = float(np.clip(stiffening * aside / gained, 0.5, 4.0))
         found = after
@@ -235,7 +227,7 @@ def _strained(
         assert linear is not None
         strain = more.error
         if found.stiffening:
-            off = found.stiffening * (strain.indentation + found.within)
+            off = found.stiffening * (strain.indentation + more.held_within)
             strain = Share(force=off, markers=strain.markers + off)
         error = PressError.of(
             body=linear.body, patches=linear.patches, increments=linear.increments, strain=strain

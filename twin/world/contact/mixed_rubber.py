@@ -7,6 +7,7 @@ sums over elements, and Newton's steps.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, Protocol, TypeVar
@@ -173,32 +174,29 @@ class MixedRubber:
                 "theory: press with less force, or set material.law = linear"
             )
 
-    class Mixing:
-        """Where steps that tend to a place likely change nothing: the ends of the last ones, mixed
-        so that what they changed cancels best (D. G. Anderson 1965, J. ACM 12).
+    @staticmethod
+    def mixing(seen: int, most: int) -> Callable[[Floats], Floats]:
+        """Return what takes the place (n,) where a step ended, and returns where to begin the next
+        one: there steps that tend to a place likely change nothing.
 
-        Of a place's numbers the first ``seen`` count, of steps the last ``most`` and one.
+        The ends of the last ``most`` steps and one are mixed so that what they changed cancels best
+        (D. G. Anderson 1965, J. ACM 12), by the ``seen`` first numbers of a place.
         """
+        begun: deque[Floats] = deque(maxlen=most + 1)
+        ended: deque[Floats] = deque(maxlen=most + 1)
 
-        def __init__(self, seen: int, most: int) -> None:
-            self._seen = seen
-            self._kept = most + 1
-            self._begun: list[Floats] = []
-            self._ended: list[Floats] = []
-
-        def start(self, place: Floats) -> Floats:
-            """Return where to begin a step; ``place`` (n,) is where the last one ended."""
-            if self._begun:
-                self._ended.append(place)
-                del self._ended[: -self._kept]
-            if len(self._ended) > 1:
-                ended = np.array(self._ended)
-                change = (ended - np.array(self._begun))[:, : self._seen]
+        def start(place: Floats) -> Floats:
+            if begun:
+                ended.append(place)
+            if len(ended) > 1:
+                ends = np.array(ended)
+                change = (ends - np.array(begun))[:, :seen]
                 share = np.linalg.lstsq(np.diff(change, axis=0).T, change[-1], 1e-8)[0]
-                place = place - share @ np.diff(ended, axis=0)
-            self._begun.append(place)
-            del self._begun[: -self._kept]
+                place = place - share @ np.diff(ends, axis=0)
+            begun.append(place)
             return place
+
+        return start
 
     @np.errstate(over="ignore", invalid="ignore")
     def newton(

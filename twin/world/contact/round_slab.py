@@ -25,7 +25,7 @@ their error then depends little on where in one it ends. Under a cylinder that i
 one is solved as one rounded by a fiftieth of the diameter.
 
 Validity: one rigid sphere, cylinder, or cone, pressed straight and without friction on a block, its
-axis five contact radii or more from the sides; nu from 0.45.
+axis five contact radii or more from the sides; nu from 0.44.
 """
 
 from __future__ import annotations
@@ -143,7 +143,11 @@ class FiniteStrain:
         axes, mm and radians.
     wider
         (p,) radius of its contact over that by linear theory.
+    held_within
+        How far the indentation may be off where a motion holds the probe, relative.
     """
+
+    held_within = 5e-5
 
     @dataclass(frozen=True, kw_only=True)
     class Solutions:

@@ -499,10 +499,10 @@ class RubberContact:
         if linear:
             return rubber.newton(at_rest, state, MOST_STEPS, to)
         if not self._rubs:
-            mixing = MixedRubber.Mixing(3 * len(rubber.mesh.points), _MIXED)
+            mix = rubber.mixing(3 * len(rubber.mesh.points), _MIXED)
 
             def mixed(state: RubberContact.State) -> RubberContact.State:
-                return replace(state, unknowns=mixing.start(state.unknowns))
+                return replace(state, unknowns=mix(state.unknowns))
 
             with suppress(NotSettled):
                 return rubber.newton(at_rest, state, _MIXED_STEPS, _MIXED_TO * to, mixed)

@@ -21,8 +21,8 @@ import numpy as np
 from twin.arrays import Floats
 from twin.parts.material import Material
 
-LEAST_POISSON = 0.45
-"""The laws are tried for rubber, from here to 1/2."""
+LEAST_POISSON = 0.44
+"""The laws are tried for rubber, from here to 1/2: 0.45, and what casting may take off it."""
 
 _MOST_BULK = 0.5
 """Largest share of lambda that a law takes itself."""
