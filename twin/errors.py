@@ -166,7 +166,7 @@ class AccuracyWarning(UserWarning):
 
     @classmethod
     def issue(cls, message: str) -> None:
-        """Warn at the line outside this program that asked for the result."""
+        """Warn at the line outside this program that wanted the result."""
         frame, level = sys._getframe(1), 2
         while frame.f_back is not None and (
             frame.f_code.co_filename in _PASSING

@@ -433,7 +433,6 @@ PRESETS = MappingProxyType(
             "gamma": 2.2,
             "interlace": True,
             "bandwidth_mhz": (4.2, 1.3, 0.4),
-            "bayer": "none",
         },
         "sato_60fps": {
             **_CLEAN,

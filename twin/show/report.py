@@ -508,14 +508,11 @@ def _error_map(seen: _Sighting, axes: Axes) -> str:
         content += axes.arrows(seen.true_rest_px[kept], scale * error[kept], f"tracked {style}")
     gross = int((size > _GROSS_PX).sum())
     left_out = f"; {gross} above {digits(_GROSS_PX)} px are left out" if gross else ""
-    say = (
-        f"Tracking errors of {int(fine.sum())} markers, root mean square {digits(usual)} px "
-        f"per axis"
-    )
+    size_px = f"root mean square {digits(usual)} px per axis"
+    say = f"Tracking errors of {int(fine.sum())} markers, {size_px}"
     caption = (
         f"Tracking error (tracked minus true shift), drawn {digits(scale)} times as long as it "
-        f"is; root mean square "
-        f"{digits(usual)} px per axis{left_out}. Noise looks random here, a bias ordered."
+        f"is; {size_px}{left_out}. Noise looks random here, a bias ordered."
     )
     return figure(axes.drawing(content, "column (px)", "row (px)", say), caption, "single")
 
@@ -621,8 +618,8 @@ def _maps(result: RunResult, sites: Points, fields: list[tuple[str, Floats]]) ->
         panels.append(figure(axes.drawing(content, "x (mm)", "y (mm)", say), name.capitalize()))
     top = digits(normal)
     bar = (
-        f'<div class="ramp"><span>−{top} N</span><span class="colours"></span><span>{top} '
-        f"N</span></div>"
+        f'<div class="ramp"><span>−{top} N</span><span class="colours"></span>'
+        f"<span>{top} N</span></div>"
     )
     dashed = " The dashed circle is as large as the true contact." if outline is not None else ""
     note = (
@@ -673,9 +670,8 @@ def _profile(sites: Points, fields: list[tuple[str, Floats]]) -> str:
         )
     at = digits(float(sites[strongest, 1]))
     keys = " ".join(f'<span class="key {name}-line">{name}</span>' for name, _ in fields)
-    svg = axes.drawing(
-        content, "x (mm)", "force along z (N)", f"Force along z on the sites at y = {at} mm"
-    )
+    say = f"Force along z on the sites at y = {at} mm"
+    svg = axes.drawing(content, "x (mm)", "force along z (N)", say)
     return figure(svg, f"Through the contact, y = {at} mm. {keys}", "single")
 
 

@@ -658,7 +658,7 @@ def _touches(scene: Scene, state: ContactState | None) -> tuple[RunResult.Touch,
         return ()
     terms = iter(state.load.terms)
     found = []
-    for press, own in zip((scene.press, *scene.press.also), (state, *state.also), strict=True):
+    for press, own in zip(scene.presses, (state, *state.also), strict=True):
         if not len(own.pressure_mpa):
             continue
         patches = next(terms)

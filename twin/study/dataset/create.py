@@ -335,8 +335,8 @@ def _croissant(plan: Plan) -> dict[str, Any]:
         "citeAs": "see CITATION.cff of tactile-twin",
         "distribution": [_files("samples", "data"), _files("sensors", "sensors")],
         "recordSet": [
-            _record_set("samples", plan.row_columns),
-            _record_set("sensors", plan.sensor_columns),
+            {"@type": "cr:RecordSet", "@id": name, "name": name, "field": _fields(name, columns)}
+            for name, columns in (("samples", plan.row_columns), ("sensors", plan.sensor_columns))
         ],
     }
 
@@ -351,24 +351,19 @@ def _files(name: str, folder: str) -> dict[str, Any]:
     }
 
 
-def _record_set(name: str, columns: tuple[Column, ...]) -> dict[str, Any]:
-    return {
-        "@type": "cr:RecordSet",
-        "@id": name,
-        "name": name,
-        "field": [
-            {
-                "@type": "cr:Field",
-                "@id": f"{name}/{column.name}",
-                "name": column.name,
-                "description": column.what,
-                "dataType": _TYPES[column.kind],
-                **({"repeated": True} if column.kind in _LISTS else {}),
-                "source": {"fileSet": {"@id": f"{name}-files"}, "extract": {"column": column.name}},
-            }
-            for column in columns
-        ],
-    }
+def _fields(name: str, columns: tuple[Column, ...]) -> list[dict[str, Any]]:
+    return [
+        {
+            "@type": "cr:Field",
+            "@id": f"{name}/{column.name}",
+            "name": column.name,
+            "description": column.what,
+            "dataType": _TYPES[column.kind],
+            **({"repeated": True} if column.kind in _LISTS else {}),
+            "source": {"fileSet": {"@id": f"{name}-files"}, "extract": {"column": column.name}},
+        }
+        for column in columns
+    ]
 
 
 _LISTS = {"numbers": "sc:Float", "flags": "sc:Boolean", "vectors": "sc:Float", "pixels": "sc:Float"}

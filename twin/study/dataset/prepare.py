@@ -141,11 +141,11 @@ def _resumed(plan: Plan, places: Places) -> Plan:
     if facts["content"] != fresh["content"]:
         what = "other columns" if facts["columns"] != fresh["columns"] else "another scene"
         raise InputError(f"{where} with {what}; give another --out, or the same command as before")
-    for key, name in (("versions", "versions"), ("renderer", "renderer")):
-        if facts[key] != fresh[key]:
+    for name in ("versions", "renderer"):
+        if facts[name] != fresh[name]:
             raise InputError(
-                f"{where} with other {name} ({_difference(facts[key], fresh[key])}), so its bytes "
-                "could not be continued; use those, or give another --out"
+                f"{where} with other {name} ({_difference(facts[name], fresh[name])}), so its "
+                "bytes could not be continued; use those, or give another --out"
             )
     if plan.samples < facts["samples"]:
         raise InputError(

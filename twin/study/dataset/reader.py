@@ -30,6 +30,9 @@ _SHAPES = {"vectors": 3, "pixels": 2}
 
 _SPLITS = ("train", "test", "all")
 
+_DAMAGED = (TypeError, AttributeError, SyntaxError)
+"""What libraries raise of a damaged file, besides errors of reading and of values."""
+
 
 class DatasetReader:
     """A dataset on disk; ``len()`` rows, each a dictionary of numpy arrays, texts and numbers.
@@ -37,21 +40,9 @@ class DatasetReader:
     It is a map-style dataset in the sense of torch (``__len__``, ``__getitem__``), can be sent to
     other processes, and keeps no file open.
 
-    Parameters
-    ----------
-    folder
-        Of the dataset, finished or not: what is there is read.
-    columns
-        Those of the samples that are wanted; all if not given.
-    split
-        See `open_dataset`.
-    decode
-        Whether pictures come as arrays; else as the PNG files' bytes.
-
-    Raises
-    ------
-    InputError
-        It is no dataset, or has no such column or part.
+    Of a dataset that isn't finished what is there is read. Arguments are those of `open_dataset`;
+    without ``decode`` pictures are the PNG files' bytes. `InputError` for what is no dataset, or
+    has no such column or part.
     """
 
     def __init__(
@@ -65,7 +56,6 @@ class DatasetReader:
         import pyarrow.parquet as pq
 
         self._decode = decode
-
         self.places = Places(Path(folder))
         self.info: dict[str, Any] = self.places.read_info()
         self._kinds = {c["name"]: c["kind"] for c in self.info["columns"]}
@@ -97,15 +87,7 @@ class DatasetReader:
 
         try:
             yield
-        except (
-            pa.ArrowException,
-            OSError,
-            ValueError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            SyntaxError,
-        ) as problem:
+        except (pa.ArrowException, OSError, ValueError, KeyError, *_DAMAGED) as problem:
             text = str(problem).splitlines()[0][:200] if str(problem) else type(problem).__name__
             raise InputError(
                 f"{path}: can't be read ({text}); copy it again, or remove it and make it again"

@@ -147,11 +147,8 @@ class Pushes:
         # and both presses of each pair at once.
         forces = np.zeros((1 + loads.presses + len(pair), len(points), 3))
         forces[0, 0] = frames[0, 2]
-        turn = 2 * np.pi * u[:, 2]
-        for press in range(1, 1 + loads.presses):
-            sideways = (
-                np.array([np.cos(turn[press - 1]), np.sin(turn[press - 1])]) @ frames[press, :2]
-            )
+        for press, turn in enumerate(2 * np.pi * u[:, 2], start=1):
+            sideways = np.array([np.cos(turn), np.sin(turn)]) @ frames[press, :2]
             forces[press, press] = frames[press, 2] + loads.shear * sideways
         for number in range(len(pair)):
             first = 1 + loads.presses + 2 * number
