@@ -385,6 +385,21 @@ def test_layers_in_a_grey_picture():
         assert np.nanmax(np.abs(found.rest_px - joined(layout))) < 0.1
 
 
+@pytest.mark.parametrize("radius", [2.5, 3.0, 4.0, 5.0])
+def test_sharp_dots_without_noise_are_all_found(radius):
+    """As one draws them by hand, without grey levels at the edge: motion by whole pixels is exact."""
+    layout, size = flat_layout(8, 6, 24.0, (24.0, 24.0)), (216, 168)
+    x, y = np.meshgrid(*map(np.arange, size))
+
+    def dots(shift):
+        away = [np.hypot(x - px - shift[0], y - py - shift[1]) for px, py in layout["red"]]
+        return np.where((np.min(away, axis=0) < radius)[:, :, None], (200, 30, 20), (20, 20, 20)).astype(np.uint8)
+
+    found = track(dots((0, 0)), dots((2, -1)), {"red": layout["red"]})
+    assert found.seen.all()
+    np.testing.assert_allclose(found.shift_px, np.full((len(layout["red"]), 2), (2.0, -1.0)), atol=1e-6)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_few_markers(count):
     layout = {"beads": np.array([[60.0, 50.0], [110.0, 52.0], [75.0, 95.0]])[:count]}

@@ -110,14 +110,14 @@ def fit_shapes(
     rows = np.flatnonzero(np.isfinite(start_px.sum(axis=1) + radius_px))
     start, radius = start_px[rows], radius_px[rows]
     middle = np.rint(start).astype(np.int64)
-    offset = disc(int(reach_px**2))[0]
+    offset, runs, _ = disc(int(reach_px**2))
     signal, use = np.empty((2, len(rows), offset.shape[1]), np.float32)
     colour = tuple(own)
     for k, (column, row) in enumerate(middle):
         gather(picture, colour, others, sites, column, row, offset, NO_RUNS, signal[k], use[k])
     p = np.zeros((len(rows), PARAMETERS))
     p[:, :2] = start
-    p[:, 3] = signal[:, offset.shape[1] // 2]
+    p[:, 3] = signal[:, runs[:, 2].sum() // 2]  # at the middle
     p[:, 10] = blur_px
     free = (float(free_bulge), float(free_blur))
     fine = np.zeros(len(rows), np.bool_)
