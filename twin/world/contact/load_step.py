@@ -141,16 +141,9 @@ _DIRECTIONS = 4000
 
 
 def _directions(count: int) -> Floats:
-    """Return (n, count) unit vectors, spread evenly."""
-    if count == 1:
-        return np.array([[1.0], [-1.0]])
-    turn = np.arange(_DIRECTIONS) * math.pi * (3.0 - math.sqrt(5.0))
-    if count == 2:
-        turn = np.arange(_DIRECTIONS) * 2.0 * math.pi / _DIRECTIONS
-        return np.column_stack([np.cos(turn), np.sin(turn)])
-    height = 1.0 - 2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
-    around = np.sqrt(1.0 - height**2)
-    return np.column_stack([around * np.cos(turn), around * np.sin(turn), height])
+    """Return (n, count) unit vectors in all directions."""
+    vectors = np.random.default_rng(0).standard_normal((_DIRECTIONS, count))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _limit_load_share(

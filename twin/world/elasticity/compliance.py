@@ -61,20 +61,6 @@ from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.sizing import Level
 from twin.world.mesh.snap import drawn_to_rim
 
-_TILE = 128
-"""Rows and columns at a time: two tiles stay in the fast memory."""
-
-
-def _make_symmetric(matrix: Floats) -> None:
-    """Replace a (n, n) matrix by the mean of it and its transpose."""
-    for i in range(0, len(matrix), _TILE):
-        for j in range(i, len(matrix), _TILE):
-            mean = matrix[i : i + _TILE, j : j + _TILE] + matrix[j : j + _TILE, i : i + _TILE].T
-            mean *= 0.5
-            matrix[i : i + _TILE, j : j + _TILE] = mean
-            matrix[j : j + _TILE, i : i + _TILE] = mean.T
-
-
 Method = Literal["subtracted", "direct"]
 
 FEW = 3
@@ -342,8 +328,7 @@ class Compliance:
         Betti's theorem makes it symmetric for small patches. Raises like `displacement`.
         """
         matrix = self.to_points(rectangles.centre_mm, rectangles, reused=True)
-        _make_symmetric(matrix)
-        return matrix
+        return (matrix + matrix.T) / 2.0
 
     def normal_surface(self, rectangles: Rectangles) -> Floats | None:
         """Return the normal part (k, k) of `surface`, mm/N: a ninth of the work, and all that
@@ -359,8 +344,7 @@ class Compliance:
         if (layer := self._layer_beside(table)) is not None:
             whole = layer.compliance(known.points, rectangles, self._modulus)
             matrix += whole[2::3, 2::3]
-        _make_symmetric(matrix)
-        return matrix
+        return (matrix + matrix.T) / 2.0
 
     def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
         """Return (3 n, 3) mm/N: what tables leave out, at ``points`` (n, 3) under a unit force on

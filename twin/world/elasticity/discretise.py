@@ -172,8 +172,9 @@ def _require_half_space(body: Body, load: Rectangles) -> None:
         raise InputError(
             f"the body reaches {out[worst]:.3g} mm over the surface's tangent plane at ({place}) "
             f"mm (allowed: {STANDS_OUT_MM:g} mm), so the half-space part of the field does not "
-            "hold there: press where nothing stands out, or use Compliance(..., method='direct'), "
-            "which needs a mesh that is fine under the load"
+            "hold there: press where nothing stands out (press.at_mm), or leave out of body.file "
+            "what stands out, if it is far away; in Python, Compliance(..., method='direct') does "
+            "without that part on a mesh that is fine under the load"
         )
 
 
