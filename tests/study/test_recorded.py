@@ -520,6 +520,7 @@ def recording(tmp_path_factory):
         (HEAD + "rest.png,0,0,0\n", "line 2: fx_n is missing"),
         (HEAD + "rest.png,0,0,0,0,0,0\n", "no press has a force; give what the load cell reads"),
         (HEAD + "rest.png,0,0,0,0.1,0,-1\nrest.png,1,0,0,0,0,-3\n", "every press pulls .the largest by fz_n = -3 N"),
+        (HEAD + "rest.png,0,0,0,0,0,1\n", "no marker moves in rest.png: is it the rest picture"),
         (HEAD + "small.bmp,0,0,0,0,0,1\n", "small.bmp: the picture is 64x48 px, the rest picture 640x480"),
     ],
 )

@@ -654,6 +654,11 @@ def _by_presses(
     near = np.abs(scene.body.depth(points)) <= scene.calibration.press_probe_mm / 2
     inside = scene.body.contains(scene.body.chart_points(charts), -1e-6)
     _require_places(scene.body, places_mm, np.asarray(inside & near))
+    for name, shift in zip(names, presses.shift_px, strict=True):
+        if np.isfinite(shift).any() and not np.nan_to_num(shift).any():
+            raise InputError(
+                f"{TABLE}: no marker moves in {name}: is it the rest picture? Name the press's own"
+            )
     half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
     # Fitted: any places. Presses nearly at one place share it.
     if scene.calibration.method == "fitted":
