@@ -289,8 +289,8 @@ class Scene(Part):
             fitted).
         frames_per_second
             Rate of pictures that follow each other: forces are found of rubber that relaxes, as
-            `material.relaxation` states. Without it every picture is read by itself, as one of
-            elastic rubber.
+            `material.relaxation` states. Without it every picture is read by itself, as of rubber
+            that has relaxed by an unknown part.
         """
 
         sites: Sites

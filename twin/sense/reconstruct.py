@@ -51,7 +51,7 @@ from twin.sense.calibration import Calibration
 from twin.sense.inverse import METHODS, Problem
 from twin.sense.regularisation import RULES, Factors
 from twin.sense.track import Found
-from twin.theory.relaxation import Hereditary
+from twin.theory.relaxation import Hereditary, Relaxation
 
 DECADE = 0.1
 """Under constraints an automatic weight is rounded to this in its logarithm, so that what was
@@ -159,6 +159,30 @@ class Field(Table):
             sd_force_n=np.hypot(self.sd_force_n, off[:count].reshape(-1, 3)),
             sd_total_n=np.hypot(self.sd_total_n, off[count:-3]),
             sd_torque_nmm=np.hypot(self.sd_torque_nmm, off[-3:]),
+        )
+
+    def at_unknown_time(self, relaxation: Relaxation) -> Field:
+        """Return the field with the forces of rubber that has relaxed by an unknown part.
+
+        Under a load that only rises or is held, they lie between those that `reconstruct` finds, of
+        rubber that hasn't relaxed, and the part of them that is left at last. The field is half-way
+        between the two, and the ends are one more standard deviation away: a touch is mostly much
+        shorter or much longer than the rubber's times.
+        """
+        open_part = float(relaxation.share.sum()) / 2
+        share = 1.0 - open_part
+
+        def spread(deviation: Floats, value: Floats) -> Floats:
+            return np.hypot(share * deviation, open_part * value)
+
+        return replace(
+            self,
+            force_n=share * self.force_n,
+            total_force_n=share * self.total_force_n,
+            total_torque_nmm=share * self.total_torque_nmm,
+            sd_force_n=spread(self.sd_force_n, self.force_n),
+            sd_total_n=spread(self.sd_total_n, self.total_force_n),
+            sd_torque_nmm=spread(self.sd_torque_nmm, self.total_torque_nmm),
         )
 
     def plot(self, ax: Any = None) -> Any:

@@ -131,8 +131,9 @@ def reconstruct_recording(
     print(f"forces      {_described_options(options)}{in_time}", file=sys.stderr)
     if known.relaxation is not None and clock is None:
         print(
-            "twin: the rubber of this calibration relaxes, and forces are found as if it didn't: "
-            "they rise while held and remain when gone; give --frames-per-second",
+            "twin: the rubber of this calibration relaxes, and each frame is read by itself: "
+            "forces rise while held and remain when gone, within the stated deviations; give "
+            "--frames-per-second",
             file=sys.stderr,
         )
     if len(known.layout) == 1 and not METHODS[options["method"]].local:
@@ -141,7 +142,12 @@ def reconstruct_recording(
             "come out far too small, beyond the stated deviations; take --method local",
             file=sys.stderr,
         )
-    summary = _Summary(known.scale_error, clock is not None)
+    relaxing = ""
+    if known.relaxation is not None:
+        relaxing = "how far the rubber has relaxed"
+        if clock is not None:
+            relaxing = "rubber that relaxes between frames"
+    summary = _Summary(known.scale_error, relaxing)
     try:
         with _LiveTable() as live:
             yield live.head
@@ -261,6 +267,8 @@ def _reconstruct_frames(
                 found = tracker.track(frame.picture, number)
                 field = before = reconstruct(found, calibration, previous=before, **options)
                 bump = Bump.of(found, calibration)
+                if rubber is not None and clock is None:
+                    field = field.at_unknown_time(rubber)
                 if history is not None and clock is not None:
                     time_s = clock(number, frame.name)
                     since_s = 0.0 if last_s is None else time_s - last_s
@@ -506,14 +514,10 @@ class _Summary:
     """What became of the frames and their markers, the causes of the force error, and the first
     trouble."""
 
-    def __init__(self, scale_error: float, in_time: bool) -> None:
-        self.causes = "of the markers' noise"
-        if scale_error > 0:
-            self.causes += f", the calibration's factor ({100 * scale_error:.2g} %)"
-        if in_time:
-            self.causes += ", rubber that relaxes between frames"
-        if scale_error == 0 and not in_time:
-            self.causes += " alone"
+    def __init__(self, scale_error: float, relaxing: str) -> None:
+        factor = f"the calibration's factor ({100 * scale_error:.2g} %)" if scale_error > 0 else ""
+        others = [cause for cause in (factor, relaxing) if cause]
+        self.causes = ", ".join(["of the markers' noise", *others]) + ("" if others else " alone")
         self.count, self.failed = 0, 0
         self._doubted = 0
         self._last = ""

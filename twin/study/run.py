@@ -332,6 +332,8 @@ class _Stages:
                     field = _relaxed(
                         self.sensor, field, self.rest, self.state, self.ends_s, self.calibration
                     )
+                elif self.calibration.relaxation is not None:
+                    field = field.at_unknown_time(self.calibration.relaxation)
                 self.field = field
             except InputError as problem:
                 self.failures["force"] = str(problem)
@@ -404,9 +406,10 @@ class _Stages:
             facts |= _press_facts(self.state) | _course(scene, self.state, self.ends_s)
             if self.field is not None and "creep_error" in errors["elastic"]:
                 facts["validity"]["notes"] += (
-                    "one picture doesn't show what the rubber remembers: forces are found as if it "
-                    f"didn't relax, {100 * errors['elastic']['creep_error']:.2g} % off by that "
-                    "alone. reconstruction.frames_per_second follows the press in frames",
+                    "one picture doesn't show how far the rubber has relaxed: forces are taken "
+                    "half-way between not at all and for ever; found as if it didn't they are "
+                    f"{100 * errors['elastic']['creep_error']:.2g} % off by that alone. "
+                    "reconstruction.frames_per_second follows the press in frames",
                 )
         if self.calibration is not None and self.field is not None:
             sites = len(self.calibration.site_mm)
