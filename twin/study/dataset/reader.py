@@ -95,13 +95,8 @@ class DatasetReader:
 
     @staticmethod
     def decoded(data: bytes) -> Picture:
-        """Return the (height, width, 3) picture in PNG bytes.
-
-        Raises
-        ------
-        ValueError
-            They are none, or larger than any picture of this program.
-        """
+        """Return the (height, width, 3) picture in PNG bytes; `ValueError` where they are none, or
+        larger than any picture of this program."""
         from PIL import Image
 
         with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
@@ -250,13 +245,8 @@ class DatasetReader:
         return self._group[1], first
 
     def write_sheet(self, page: Path) -> str:
-        """Write the contact sheet and return a line about it.
-
-        Raises
-        ------
-        InputError
-            It holds no samples yet, or no pixels to draw.
-        """
+        """Write the contact sheet and return a line about it; `InputError` where it holds no
+        samples yet, or no pixels to draw."""
         if len(self) == 0:
             raise InputError(f"{self.places.folder}: holds no samples yet")
         if "marker_pressed_px" not in self.columns:

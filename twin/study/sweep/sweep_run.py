@@ -32,11 +32,7 @@ from twin.errors import RecipeError
 from twin.files import Fact, fact, write_whole
 from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import FIDELITIES, METRICS, Sweep
-from twin.study.batch.pool import (
-    Pool,
-    counted,
-    only_writer,
-)
+from twin.study.batch.pool import Pool, counted, only_writer
 from twin.study.doubts import View
 from twin.study.sweep.design_rows import Row, Rows, Shown
 from twin.study.sweep.designs import Designs
@@ -205,16 +201,9 @@ def run_sweep(
     progress: Progress | None = None,
     optimise: bool = False,
 ) -> Swept:
-    """Run a sweep, or what is missing of it, and write its table.
-
-    Raises
-    ------
-    RecipeError
-        The sweep can't be run.
-    InputError
-        The folder can't be written, another process is writing there, or the scheduler can't be
-        reached.
-    """
+    """Run a sweep, or what is missing of it, and write its table; `RecipeError` where it can't be
+    run, `InputError` where the folder can't be written or is by another process, or the scheduler
+    can't be reached."""
     _check(sweep, scene)
     designs = Designs.of(sweep, scene)
     if scheduler is not None:
