@@ -62,19 +62,19 @@ less than half its edges."""
 
 @dataclass(frozen=True)
 class _Fineness:
-    """The longest edge under the probe over the contact's radius, its growth away from there, the
-    longest edge at a flat face's rim, and the parts of the first step of a path with friction, and
-    of a later one."""
+    """The longest edge under the probe over the contact's radius, that at a flat face's rim, and
+    the parts of the first step of a path with friction, and of a later one."""
 
     edge: float
-    growth: float
     rim: float
     parts: tuple[int, int]
 
 
-_FINE = _Fineness(0.6, 0.8, 0.3, (4, 2))
-_COARSE = _Fineness(0.85, 0.8, 0.4, (3, 1))
-"""The mesh of the displacement, and the one that estimates its error."""
+_FINE = _Fineness(0.6, 0.3, (4, 2))
+_COARSE = _Fineness(0.85, 0.4, (3, 1))
+_GROWTH = 0.8
+"""The mesh of the displacement, the one that estimates its error, and how edges grow away from the
+contact on both."""
 
 _WAY = 0.4
 """Most that a probe with friction moves sideways in a part of a step, over its contact's radius."""
@@ -275,11 +275,11 @@ class BodyStrain(FiniteStrain):
             for approach, near in contacts:
                 for centre, size in near:
                     away = np.linalg.norm(points - centre, axis=1) - size
-                    here = fineness.edge * size + fineness.growth * np.maximum(away, 0.0)
+                    here = fineness.edge * size + _GROWTH * np.maximum(away, 0.0)
                     edges = np.minimum(edges, here)
                     if approach.is_flat:
                         away = np.maximum(_from_rim(points, approach), 0.0)
-                        edges = np.minimum(edges, fineness.rim * size + fineness.growth * away)
+                        edges = np.minimum(edges, fineness.rim * size + _GROWTH * away)
             return edges
 
         if like is None:

@@ -1,5 +1,6 @@
-"""Rubber at finite strain on any mesh: displacements of nodes and pressures of corners as unknowns,
-sums over elements, and Newton's steps.
+"""Rubber at finite strain on any mesh: quadratic displacement and linear pressure as unknowns, sums
+over elements, and Newton's steps. The stress is a `twin.world.elasticity.strain_law.StrainLaw`,
+whose tangent at rest is linear theory.
 
 `twin.world.contact.round_slab` and `twin.world.contact.whole_body` are the two meshes.
 """

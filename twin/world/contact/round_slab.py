@@ -1,11 +1,8 @@
-"""What linear theory leaves out of a straight press on a block: large strain, the turning of the
-surface, and contact with the deformed instead of the undeformed surface.
+"""What linear theory leaves out of a straight press on a block. It decays like the third power of
+the distance, so that a block is solved as a slab of revolution as thick, in a few tenths of a
+second.
 
-It decays like the third power of the distance, so that a block is solved as a slab of revolution
-as thick, in a few tenths of a second.
-
-**Rubber.** Quadratic displacement (radial, along z) and linear pressure on rectangles; the stress
-is a `twin.world.elasticity.strain_law.StrainLaw`, whose tangent at rest is linear theory.
+**Rubber.** `twin.world.contact.mixed_rubber` on rectangles; displacements are radial and along z.
 
 **Contact.** Pressures at the integration points of the surface; g is a point's gap to the probe
 along z.
@@ -435,10 +432,7 @@ def _shapes(place: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 class Slab(MixedRubber):
-    """Rubber of E = 1 MPa in the shape of a slab of revolution, held below.
-
-    Its unknowns are two displacements of every node, mm, then the pressures of the corners, MPa.
-    """
+    """Rubber in the shape of a slab of revolution, held below."""
 
     @dataclass(frozen=True, eq=False)
     class Grid:

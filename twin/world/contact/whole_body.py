@@ -1,7 +1,6 @@
 """A whole body of rubber on a coarse mesh, pressed by rigid probes: linear or at finite strain.
 
-**Rubber.** Quadratic displacement and linear pressure on tetrahedra; the stress is a
-`twin.world.elasticity.strain_law.StrainLaw`, whose tangent at rest is linear theory.
+**Rubber.** `twin.world.contact.mixed_rubber` on tetrahedra.
 
 **Contact.** Pressures at the integration points of the surface; g is a point's gap to the probe.
 
@@ -22,10 +21,9 @@ the probe, and what all points slip in common is a slide of the probe, as in
 
 **Steps.** In each of Newton's the rubber is condensed to the nodes that may touch, by the Schur
 complement of its tangent, and contact is balanced there by an active set of points. Without
-friction the tangent at rest will do at finite strain, too, where the last steps are mixed so that
-what they change cancels best (D. G. Anderson 1965, J. ACM 12): to factor a tangent takes as long as
-five to ten steps. Else, and where such steps don't settle, an earlier state's stays while steps
-shrink fast enough.
+friction the tangent at rest will do at finite strain, too, where the last steps are mixed: to
+factor a tangent takes as long as five to ten steps. Else, and where such steps don't settle, an
+earlier state's stays while steps shrink fast enough.
 """
 
 from __future__ import annotations
@@ -112,10 +110,7 @@ _LET_GO = 5
 
 
 class Rubber(MixedRubber):
-    """Rubber of E = 1 MPa in the shape of a mesh, held on the body's held pieces.
-
-    Its unknowns are three displacements of every node, mm, then the pressures of the corners, MPa.
-    """
+    """Rubber in the shape of a mesh, held on the body's held pieces."""
 
     _axes = 3
 
