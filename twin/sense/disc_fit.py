@@ -50,7 +50,6 @@ from twin.sense.rest_templates import (
 from twin.sense.shape_fit import NORMAL_MEDIAN, Expected, OwnPictures, fit_shapes
 from twin.sense.shift_error import (
     COVERED_SD_PX,
-    DIMS,
     NORMAL,
     ROUGHER,
     SD_FLOOR_PX,
@@ -162,6 +161,9 @@ it is also compressed, its brightness beyond the frame is not known."""
 
 LEAST_LIGHT = 3.0
 """Standard deviations by which a marker may have more light than it seems to."""
+
+DIMS = 1.5
+"""Standard deviations up to which a part in sight has less light than others by chance."""
 
 LOST_MOVES = 0.7
 """By which share of its radius a marker's centre moves at least, over the share of its light that

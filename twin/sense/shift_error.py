@@ -56,10 +56,10 @@ EVEN, LEVEL_TILT = 2.8, 3.5
 """Standard deviations up to which an edge's third harmonic, and the motion by a changed slope of
 brightness, change by chance (49 of 50, 456 of 457). What exceeds this is stated, and corrected."""
 
-SHRINKS, DIMS = 0.5, 1.5
-"""Standard deviations of a radius up to which a marker has become smaller by chance; and where
-noise hangs together over pixels. Of whole markers the first leaves 1.0 to 1.3 times their errors
-stated, of blurred ones that lack a hundredth .6 to 1.3 times."""
+SHRINKS = 0.5
+"""Standard deviations of a radius up to which a marker has become smaller by chance. Of whole
+markers it leaves 1.0 to 1.3 times their errors stated, of blurred ones that lack a hundredth .6 to
+1.3 times; more of it would leave too little to those that lack a twentieth under JPEG."""
 
 CONCAVE = 2.0
 """Margin of the motion by a hidden part that a third harmonic allows, for concave edges."""
@@ -81,6 +81,11 @@ hidden part, which moves a marker by about as many of its own."""
 SINCE = 1.35
 """Errors where a picture is compressed and the rest picture is not, over those that the third
 harmonics show, as outlines at rest are sharper. Measured: 1.1 to 1.8."""
+
+COARSE_PX, COARSER = 1.3, 3.0
+"""Radius, over the distance of the pixels that a mosaic has measured, up to which an edge has fewer
+than eight of them along it: too few for a third harmonic. Largest factor by which errors are then
+as large as by single pixels' noise; measured: 1 to 3."""
 
 LEAST_COHERENCE, SURE = 0.8, 50
 """How many times less than from single pixels' noise errors may be, and from how many markers'
@@ -167,9 +172,11 @@ class ShiftErrors:
         """How many times as large as by single pixels' noise the errors of centres are, by the
         edges or the bare ground."""
         factor = 1.0
-        mosaic = not self.templates.sites.all()  # edges that are sampled too coarsely err alike
-        if self.templates.coherent or self.bare or mosaic:
+        share = float(self.templates.sites.mean())  # edges sampled too coarsely err alike
+        if self.templates.coherent or self.bare or share < 1.0:
             factor = self._coherence_of_edges()
+        if share < 1.0 and self.templates.usual_radius_px * np.sqrt(share) < COARSE_PX:
+            factor = max(min(self._coherence_of_motion(), COARSER), factor)
         if self.bare:
             own = self.fitted[:, RESHAPED] == OWN_SHAPE
             growth = quantiles(self.fitted[:, SCALE] * np.where(own, LONGER, 1.0), MOST)[0]
@@ -200,6 +207,16 @@ class ShiftErrors:
         if counts.sum() >= SURE:
             least = min(max(float(np.sqrt(np.mean(score**2))), LEAST_COHERENCE), 1.0)
         return max(float(np.sqrt(BareGround.bounded_squares(score.reshape(-1, 1))[0])), least)
+
+    def _coherence_of_motion(self) -> float:
+        """Return the same by how far the shifts are off the local affine motion of their
+        neighbours: an upper bound, as motion that is less smooth counts, too."""
+        expected, certain = self.around.predict(self.shift_px)
+        score = ((self.shift_px - expected) / self._noise_sd[:, None])[certain]
+        score = score[np.isfinite(score[:, 0])]
+        if len(score) < LEAST_SCORES:
+            return 1.0
+        return float(np.sqrt(BareGround.bounded_squares(score.reshape(-1, 1))[0]))
 
     def _shaded(self, chances: float) -> Pixels:
         """Return (n, 2) how far centres would move, px, were their slopes of brightness fitted too,
@@ -273,23 +290,21 @@ class ShiftErrors:
         """
         fitted, rest = self.fitted, self.templates.rest
         shrunk = fitted[:, SCALE] / rest[:, SCALE]
-        chance = SHRINKS
         if coherence > COHERENT:  # compression may dim a marker instead: what is lost is light
             shrunk *= np.sqrt(fitted[:, LEVEL] / rest[:, LEVEL])
-            chance = DIMS
         shrunk = self.templates.radius_px * (1.0 - shrunk)
         shrunk[~np.isfinite(sd)] = np.nan
         low, middle, high = quantiles(shrunk, 0.25, 0.5, 0.75)
         limit = np.fmax(NORMAL * (high - low), sd / np.sqrt(2.0))
         away = shrunk - middle
         if NORMAL * (high - low) > np.sqrt(2.0) * quantiles(sd, 0.5)[0]:  # not by noise alone
-            rows = np.flatnonzero(away > chance * sd / np.sqrt(2.0))
+            rows = np.flatnonzero(away > SHRINKS * sd / np.sqrt(2.0))
             by_others = self.around.usual(away[:, None], np.isfinite(away), rows)
             usual, spread = (np.nan_to_num(each[:, 0]) for each in by_others)
             away[rows] -= usual
             limit[rows] = np.fmax(spread, sd[rows] / np.sqrt(2.0))
         away[self._in_part] = 0.0
-        beyond = np.fmax(np.fmax(away, 0.0) ** 2 - (chance * limit) ** 2, 0.0)
+        beyond = np.fmax(np.fmax(away, 0.0) ** 2 - (SHRINKS * limit) ** 2, 0.0)
         return np.asarray(np.fmin(2.0 * beyond, self._most_moved(sd, np.sqrt(beyond))))
 
     def _lacking(self) -> Floats:
