@@ -192,7 +192,7 @@ def test_a_film_as_a_video_has_the_same_truth(tmp_path: Path) -> None:
 
 
 def test_forces_on_a_film_of_rubber_that_relaxes_are_the_true_ones(tmp_path: Path) -> None:
-    """Held and let go: taken for those of elastic rubber, they rise as the rubber creeps, and remain.
+    """Held and let go: read picture by picture, they rise as the rubber creeps, and remain.
 
     The recipe's `reconstruction.frames_per_second` reaches recordings and runs."""
     course = ((0.2, 0.2), (0.2, 1.4), (0.0, 0.2), (0.0, 0.2))
@@ -221,7 +221,11 @@ def test_forces_on_a_film_of_rubber_that_relaxes_are_the_true_ones(tmp_path: Pat
     elastic = 0.2 * (np.array([0, *creep]) - [0, *back])
     assert elastic[8] > 0.225
     assert elastic[9] > 0.015
-    assert forces("--frames-per-second", "0")[0] == pytest.approx(elastic, abs=0.006)
+    # Each picture by itself is of rubber that may have relaxed or not: half-way, and so much is stated.
+    half = rubber.share.sum() / 2
+    alone, range_n = forces("--frames-per-second", "0")
+    assert alone == pytest.approx((1 - half) * elastic, abs=0.006)
+    assert np.all(range_n >= half / (1 - half) * np.abs(alone))
     found, stated = forces()
     assert found == pytest.approx(truth["force_n"][:, 2], abs=0.006)
     # The probe leaves at once between two pictures, and the software takes it to leave slowly.
