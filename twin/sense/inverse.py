@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -189,16 +190,16 @@ class Problem:
         frames, base = self.calibration.site_frames, self.base
         if "local" not in base.gram:
             base.gram["penalty"] = _into_frames(base.penalty, frames)
+            # last: another thread that finds it finds both
             base.gram["local"] = _into_frames(base.transfer.T @ base.transfer, frames)
         # the quadratic's unit is px^2, not the noise
         least = LEAST * float(self.factors.singular.max() * self.size_px) ** 2
         relative = max(weight * self.size_px**2, least)
-        if relative not in base.quadratics:
-            for oldest in list(base.quadratics)[: len(base.quadratics) + 1 - KEPT_WEIGHTS]:
-                base.quadratics.pop(oldest, None)
+        quadratic = base.quadratics.get(relative)
+        if quadratic is None:
+            _make_room(base.quadratics, KEPT_WEIGHTS)
             curvature = base.gram["local"] + relative * base.gram["penalty"]
-            base.quadratics[relative] = Quadratic(curvature=curvature)
-        quadratic = base.quadratics[relative]
+            quadratic = base.quadratics[relative] = Quadratic(curvature=curvature)
         pull = (base.transfer.T @ (data * self.size_px)).reshape(-1, 3)
         linear = np.asarray(np.einsum("kij,kj->ki", frames, pull).ravel())
         begin = None if start is None else np.einsum("kij,kj->ki", frames, start)
@@ -254,6 +255,12 @@ def _weights(
     return used, Problem.in_classes(own[used]), np.ones(int(used.sum()))
 
 
+def _make_room(kept: dict[Any, Any], most: int) -> None:
+    """Drop the oldest entries until fewer than ``most`` are left; other threads may, too."""
+    for oldest in list(kept)[: len(kept) + 1 - most]:
+        kept.pop(oldest, None)
+
+
 def _base(calibration: Calibration, method: InverseMethod, known: Bools, noise: Floats) -> _Base:
     """Factorise, or take a kept factorisation: with even noise it only scales.
 
@@ -278,7 +285,6 @@ def _base(calibration: Calibration, method: InverseMethod, known: Bools, noise: 
             penalty = whole.penalty
             factors = whole.factors.of_some(np.repeat(known[every], 2), scale)
         base = _Base(transfer=whitened, penalty=penalty, factors=factors, gram={}, quadratics={})
-        for oldest in list(kept)[: len(kept) + 1 - KEPT]:
-            kept.pop(oldest, None)  # or another thread has
+        _make_room(kept, KEPT)
     kept[key] = base  # as the last that goes
     return base
