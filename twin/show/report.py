@@ -508,11 +508,11 @@ def _error_map(seen: _Sighting, axes: Axes) -> str:
         content += axes.arrows(seen.true_rest_px[kept], scale * error[kept], f"tracked {style}")
     gross = int((size > _GROSS_PX).sum())
     left_out = f"; {gross} above {digits(_GROSS_PX)} px are left out" if gross else ""
-    size_px = f"root mean square {digits(usual)} px per axis"
-    say = f"Tracking errors of {int(fine.sum())} markers, {size_px}"
+    spread = f"root mean square {digits(usual)} px per axis"
+    say = f"Tracking errors of {int(fine.sum())} markers, {spread}"
     caption = (
         f"Tracking error (tracked minus true shift), drawn {digits(scale)} times as long as it "
-        f"is; {size_px}{left_out}. Noise looks random here, a bias ordered."
+        f"is; {spread}{left_out}. Noise looks random here, a bias ordered."
     )
     return figure(axes.drawing(content, "column (px)", "row (px)", say), caption, "single")
 

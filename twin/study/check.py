@@ -35,8 +35,13 @@ if TYPE_CHECKING:
 
 def check_path(name: str, overrides: Mapping[str, Any] | None = None) -> list[Fact]:
     """Check a scene or a sweep (path or shipped name; ``overrides`` change keys of the scene), a
-    calibration file, OpenCV's file of a camera, a result folder or a dataset; `RecipeError` or
-    `InputError` where something is wrong, or there is no scene that overrides could change."""
+    calibration file, OpenCV's file of a camera, a result folder or a dataset.
+
+    Raises
+    ------
+    RecipeError, InputError
+        Something is wrong with it, or there is no scene that overrides could change.
+    """
     facts = _check_other(Path(name))
     if facts is not None and overrides:
         raise InputError(f"{name}: -s {min(overrides)}=... changes a scene, and this is none")
@@ -275,8 +280,12 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
 
     Two exposures of a sensor that nothing touches differ by noise alone, so the motion that the
     tracker finds between them is its error, to be compared with the one that it states. The scene
-    is the sensor's nominal design. `RecipeError` or `InputError` for a scene without a camera, and
-    pictures of another size, the same one twice, or without markers.
+    is the sensor's nominal design.
+
+    Raises
+    ------
+    RecipeError, InputError
+        No camera in the scene; pictures of another size, the same one twice, without markers.
     """
     from twin.sense.centre import COHERENT
     from twin.sense.disc_fit import DiscFit

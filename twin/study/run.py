@@ -134,9 +134,12 @@ def run_to_folder(
 ) -> str:
     """Run a scene, write its files into ``folder`` and return a summary of a few lines.
 
-    `SomeFailed` where a step of the press after the first has no equilibrium or does not converge
-    (the files, and the facts in score.json, are those of the state before it), or the sensor's
-    software found no markers or no forces in the pictures (the other files are complete).
+    Raises
+    ------
+    SomeFailed
+        A step of the press after the first has no equilibrium or does not converge: the files,
+        and the facts in score.json, are those of the state before it. Or the sensor's software
+        found no markers or no forces in the pictures: the other files are complete.
     """
     wanted = frozenset(want)
     sensor, needed = _checked(scene, wanted, wanted != frozenset(WANTED), progress)

@@ -64,10 +64,30 @@ def create_dataset(
     scheduler: Pool.Scheduler | None = None,
     progress: Progress | None = None,
 ) -> _Outcome:
-    """Make a dataset, or what is missing of it: the folder may hold the beginning of the same one,
-    which can grow; ``workers`` and ``scheduler`` as of `Pool`. A warning where all samples are the
-    same press; `RecipeError` where the scene can't be sampled, `InputError` where the folder holds
-    something else or is written by another process, or the scheduler can't be reached."""
+    """Make a dataset, or what is missing of it.
+
+    Parameters
+    ----------
+    scene
+        With ``[vary]``, and ``[dataset]`` if its defaults don't fit.
+    folder, samples
+        Where to, and how many; it may hold the beginning of the same dataset, which can grow.
+    workers, scheduler
+        See `twin.study.batch.pool.Pool`.
+
+    Raises
+    ------
+    RecipeError
+        The scene can't be sampled.
+    InputError
+        The folder holds something else, another process is writing there, or the scheduler can't
+        be reached.
+
+    Warns
+    -----
+    UserWarning
+        Nothing of the press varies, so that all samples are the same one.
+    """
     plan = Plan(scene, samples)
     plan.check()
     if "picture" in plan.needs and scheduler is None:

@@ -38,8 +38,12 @@ def export_dataset(
         ``keypoints.json`` with every marker as a keypoint; ``webdataset``: tar files of
         ``NNNNNNNN.png``, ``.json`` and ``.npz``.
 
-    `InputError` for an unknown format, or a dataset without what it needs; `MissingCapability`
-    where a package is not installed.
+    Raises
+    ------
+    InputError
+        An unknown format, or a dataset without what it needs.
+    MissingCapability
+        A package that the format needs is not installed.
     """
     if form not in FORMATS:
         raise InputError(

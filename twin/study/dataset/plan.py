@@ -193,7 +193,13 @@ class Plan:
         return row
 
     def check(self) -> None:
-        """Refuse what can't vary, and keys that the scene does not have, all at once."""
+        """Refuse what can't vary, and keys that the scene does not have.
+
+        Raises
+        ------
+        RecipeError
+            With all problems at once.
+        """
         scene = self.scene
         problems = []
         if self.samples < 1:

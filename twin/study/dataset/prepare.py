@@ -24,8 +24,13 @@ from twin.study.dataset.plan import FORMAT, Places, Plan
 
 def prepare(plan: Plan, places: Places, progress: Progress | None) -> Plan:
     """Write ``meta/``: the resolved scene, the meshes, and last of all info.json. Return the plan;
-    of a dataset that was begun, the one that it has; `InputError` where the folder holds another
-    one, or something else."""
+    of a dataset that was begun, the one that it has.
+
+    Raises
+    ------
+    InputError
+        The folder holds another dataset, or something else.
+    """
     if places.info.is_file():
         return _resumed(plan, places)
     if any(places.folder.glob("data/*")):

@@ -30,9 +30,6 @@ _SHAPES = {"vectors": 3, "pixels": 2}
 
 _SPLITS = ("train", "test", "all")
 
-_DAMAGED = (TypeError, AttributeError, SyntaxError)
-"""What libraries raise of a damaged file, besides errors of reading and of values."""
-
 
 class DatasetReader:
     """A dataset on disk; ``len()`` rows, each a dictionary of numpy arrays, texts and numbers.
@@ -40,9 +37,21 @@ class DatasetReader:
     It is a map-style dataset in the sense of torch (``__len__``, ``__getitem__``), can be sent to
     other processes, and keeps no file open.
 
-    Of a dataset that isn't finished what is there is read. Arguments are those of `open_dataset`;
-    without ``decode`` pictures are the PNG files' bytes. `InputError` for what is no dataset, or
-    has no such column or part.
+    Parameters
+    ----------
+    folder
+        Of the dataset, finished or not: what is there is read.
+    columns
+        Those of the samples that are wanted; all if not given.
+    split
+        See `open_dataset`.
+    decode
+        Whether pictures come as arrays; else as the PNG files' bytes.
+
+    Raises
+    ------
+    InputError
+        It is no dataset, or has no such column or part.
     """
 
     def __init__(
@@ -87,7 +96,15 @@ class DatasetReader:
 
         try:
             yield
-        except (pa.ArrowException, OSError, ValueError, KeyError, *_DAMAGED) as problem:
+        except (
+            pa.ArrowException,
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            SyntaxError,
+        ) as problem:
             text = str(problem).splitlines()[0][:200] if str(problem) else type(problem).__name__
             raise InputError(
                 f"{path}: can't be read ({text}); copy it again, or remove it and make it again"
@@ -95,8 +112,13 @@ class DatasetReader:
 
     @staticmethod
     def decoded(data: bytes) -> Picture:
-        """Return the (height, width, 3) picture in PNG bytes; `ValueError` where they are none, or
-        larger than any picture of this program."""
+        """Return the (height, width, 3) picture in PNG bytes.
+
+        Raises
+        ------
+        ValueError
+            They are none, or larger than any picture of this program.
+        """
         from PIL import Image
 
         with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
@@ -245,8 +267,13 @@ class DatasetReader:
         return self._group[1], first
 
     def write_sheet(self, page: Path) -> str:
-        """Write the contact sheet and return a line about it; `InputError` where it holds no
-        samples yet, or no pixels to draw."""
+        """Write the contact sheet and return a line about it.
+
+        Raises
+        ------
+        InputError
+            It holds no samples yet, or no pixels to draw.
+        """
         if len(self) == 0:
             raise InputError(f"{self.places.folder}: holds no samples yet")
         if "marker_pressed_px" not in self.columns:

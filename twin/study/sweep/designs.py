@@ -224,8 +224,14 @@ def _kept_count(count: int, pitch_mm: float, new_pitch_mm: Floats) -> Floats:
 def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> tuple[Sweep, Scene]:
     """Return a sweep, given by path or shipped name, and its scene with ``set`` in place.
 
-    ``overrides`` are keys of the scene; they go over those of ``set``. `RecipeError` with every
-    problem of the sweep at once, or of its scene; `InputError` where there is no such file.
+    ``overrides`` are keys of the scene; they go over those of ``set``.
+
+    Raises
+    ------
+    RecipeError
+        With every problem of the sweep at once, or of its scene.
+    InputError
+        There is no such file.
     """
     path = find_scene(name, "sweep")
     sweep = _sweep_of(read_recipe(path), str(path))

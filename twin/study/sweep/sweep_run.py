@@ -201,9 +201,16 @@ def run_sweep(
     progress: Progress | None = None,
     optimise: bool = False,
 ) -> Swept:
-    """Run a sweep, or what is missing of it, and write its table; `RecipeError` where it can't be
-    run, `InputError` where the folder can't be written or is by another process, or the scheduler
-    can't be reached."""
+    """Run a sweep, or what is missing of it, and write its table.
+
+    Raises
+    ------
+    RecipeError
+        The sweep can't be run.
+    InputError
+        The folder can't be written, another process is writing there, or the scheduler can't be
+        reached.
+    """
     _check(sweep, scene)
     designs = Designs.of(sweep, scene)
     if scheduler is not None:
