@@ -6,6 +6,7 @@ benchmarks/results. A test compares every page with this output, so nothing here
 """
 
 import json
+import math
 import re
 import shutil
 from collections import Counter
@@ -542,6 +543,7 @@ def store_reproduction(folder: Path) -> None:
 
 def _reproduction() -> dict[str, str]:
     from twin.study.reproduce.design_limits import in_short
+    from twin.study.reproduce.reproduction_run import ENTRIES
 
     rows = stored("reproduction")
     records = [row["record"] for row in rows if "record" in row]
@@ -556,12 +558,11 @@ def _reproduction() -> dict[str, str]:
         if r["name"] == "beyond/half-space"
     ]
     same_hardware = [_beside(r) for r in records if r["name"].startswith("beyond/same-hardware")]
-    seconds = sorted((row for row in rows if "entry" in row), key=lambda row: -float(row["CPU"]))
-    longest = ", ".join(f"{row['entry']} ({row['CPU']:.0f})" for row in seconds[:4])
-    parts["seconds"] = (
-        f"All entries took {sum(row['CPU'] for row in seconds):.0f} s of CPU on one core and "
-        f"{sum(row['wall'] for row in seconds):.0f} s of the clock, beside other work. Longest, s of CPU: {longest}.\n"
-    )
+    assert all(ENTRIES[r["entry"]].cpu_seconds == math.ceil(r["CPU"]) for r in rows if "entry" in r), "entries.toml"
+    took = sorted(((entry.cpu_seconds, name) for name, entry in ENTRIES.items()), reverse=True)
+    longest = ", ".join(f"{name} ({seconds})" for seconds, name in took[:4])
+    total = sum(seconds for seconds, _ in took)
+    parts["seconds"] = f"All took {total} s of CPU on one core, beside other work. Longest: {longest}.\n"
     tables = {"same hardware": same_hardware, "half-space": half_space}
     return parts | {mark: f"{table(shown)}\n" for mark, shown in tables.items()}
 

@@ -51,7 +51,10 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         ("run", "SCENE is missing: Path of a scene file"),
         ("run kamiyama_pillar --out", "--out needs a value: Folder for the results"),
         ("run kamiyama_pillar --want ,", "--want names nothing: give any of displacement"),
-        ("run kamiyama_pillar -s camera.width_px=true", "px: must be a whole number (allowed: 1 to 8192 px)"),
+        (
+            "run kamiyama_pillar -s camera.width_px=true",
+            "width_px = 'true': must be a whole number (allowed: 1 to 8192 px)",
+        ),
         ("run kamiyama_pillar -s press.at_mm=[0]", "press.at_mm.1: missing; give a value\n"),
         ("check gelpad_press -s press.probe={}", "press.probe: give a table with kind = 'sphere' or"),
         ("check gelpad_press -s \"press.probe={kind='object'}\"", "missing; give 'letter' or 'gear' or"),
@@ -118,6 +121,17 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         ("check gelpad_press -s markers.Dots.depth_mm=1", "no markers.Dots; did you mean 'dots'?\n"),
         ("check kamiyama_pillar -s markers.dots.depth_mm=1", "markers.dots; its layers are red, blue"),
         ("dataset OFF.toml --samples 3 --dry-run", "vary: the first 8 presses all fail, the first: the sphere at"),
+        ("check gelpad_press -s \"markers.dots.depth_mm='4 mm'\"", "depth_mm = '4 mm': must be a number (allowed"),
+        ("check dataset_kamiyama -s dataset.every_step=yes", "every_step = 'yes': must be true or false"),
+        ("check BOX.toml", "body.sensing.box: low_mm.z = 1 mm must not be above high_mm.z = -1 mm"),
+        (
+            "check gelpad_press -s vary.press.indentation_mm.high=9 -s vary.press.indentation_mm.low=8",
+            "fail, the first: press: the sphere would sink in",
+        ),
+        (
+            "sweep sweep_lens --dry-run -s markers.red.depth_mm=39.9",
+            "None of 32 designs is possible: markers.red: deeper",
+        ),
         ("sweep COMMA.toml", "not valid TOML"),
         ("sweep OFF.toml", "OFF.toml: is a scene, not a sweep"),
         ("scenes --pitch-mm 2", "--pitch-mm belongs to a new recipe: give --new NAME"),
@@ -143,6 +157,8 @@ def test_wrong_input_is_told_in_the_users_terms(line, words, tmp_path, capsys, m
     Path("NAN.toml").write_text('base = "gelpad_press"\n' + off.replace("50, ", "nan, "))
     deep = '[press]\nprobe = {kind = "sphere", diameter_mm = 9}\nsteps = [{move_mm = {z = 1}}, {move_mm = {z = 1.5}}]\n'
     Path("DEEP.toml").write_text('base = "gelpad_press"\n' + deep)
+    box = "sensing.box = {low_mm = [-9, -9, 1], high_mm = [9, 9, -1]}\nheld.normal = [0, 0, 1]\n"
+    Path("BOX.toml").write_text(f'base = "gelpad_press"\n[body]\nshape = "solid"\nfile = "BODY.stl"\n{box}[material]\n')
     Path("PICTURE").write_bytes(b"\x89PNG\r\n")
     Path("BODY.stl").write_bytes(bytes(84))
     Path("BODY.step").write_bytes(b"ISO-10303-21;")

@@ -100,7 +100,7 @@ def test_one_scene_is_ten_lines_long() -> None:
         ("press.friction", -0.3, ["press.friction", "-0.3", "0 (frictionless)"]),
         ("press.probe.kind", "ball", ["press.probe.kind", "'ball'", "'sphere'"]),
         ("press.force_n", {"z": -1}, ["press", "push is +z"]),
-        ("press.force_n", {"z": "much"}, ["press.force_n.z = 'much' N: must be a number"]),
+        ("press.force_n", {"z": "much"}, ["press.force_n.z = 'much': must be a number in N"]),
         ("press.move_mm", {"z": 1}, ["press.move_mm", "belongs to a step", "{move_mm = {z = 1}}]"]),
         ("press.seconds", 1, ["press.seconds", "belongs to a step", "{seconds = 1}]"]),
         ("picture.noise", 1, ["picture: unknown key"]),

@@ -314,7 +314,7 @@ def test_a_block_that_is_a_half_space_moves_as_the_formula_says() -> None:
 
 
 def test_a_page_says_first_what_nothing_explains() -> None:
-    shift = Quantity("share (n exposures)", "px", paper=1.0)
+    shift = Quantity("share", "px", paper=1.0, runs="exposures")
     record = Record(quantity=shift, twin=2.0, spread=0.1, n=3, explained_by={"a": 3.3e-5})
     row = {"name": "kamiyama/fig-6", **record.row()}
     table = {"name": "kamiyama/fig-6", "title": "t", "source": "s", "protocol": "p", "notes": [], "records": [row]}

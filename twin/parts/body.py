@@ -344,10 +344,20 @@ class Solid(StlFile, Body):
             within_mm: float = Field(default=0.01, gt=0, le=10)
 
         class Box(Part):
-            """Triangles whose corners all lie in a box."""
+            """Triangles whose corners all lie in a box between its lowest and highest corner."""
 
             low_mm: Vector
             high_mm: Vector
+
+            @model_validator(mode="after")
+            def _ordered(self) -> Self:
+                for axis, low, high in zip("xyz", self.low_mm, self.high_mm, strict=True):
+                    if low > high:
+                        raise ValueError(
+                            f"low_mm.{axis} = {low:g} mm must not be above high_mm.{axis} = "
+                            f"{high:g} mm"
+                        )
+                return self
 
         plane: Plane | None = None
         box: Box | None = None

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from twin.arrays import Floats, Points, frozen
 from twin.errors import RecipeError
-from twin.parts.part import LEAST_MM, Angle, Coefficient, Part, Pixel, Place, Share, Size
+from twin.parts.part import LEAST_MM, Angle, Coefficient, Flag, Part, Pixel, Place, Share, Size
 
 Power = Annotated[float, Field(ge=0, le=1e3)]
 Gain = Annotated[float, Field(gt=0, le=100)]
@@ -555,7 +555,7 @@ class Ccd(Part):
     read_noise_e: float | None = Field(default=None, ge=0, le=1e6)
     full_well_e: float | None = Field(default=None, ge=1, le=1e12)
     gamma: float | None = Field(default=None, ge=0.2, le=5)
-    noise: bool | None = None
+    noise: Flag | None = None
     white_dn: float = Field(default=200.0, gt=0, le=FULL_SCALE)
     crosstalk: float | tuple[Triple, Triple, Triple] = 0.05
     quantum_efficiency: Triple | None = None
@@ -584,7 +584,7 @@ class Ccd(Part):
     exposure: float = Field(default=1.0, gt=0, le=1000)
     black_dn: float | None = Field(default=None, ge=0, le=100)
     bayer: Mosaic | None = None
-    interlace: bool | None = None
+    interlace: Flag | None = None
     bandwidth_mhz: Triple | Off | None = None
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | Off | None = None
 

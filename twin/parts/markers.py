@@ -21,7 +21,7 @@ from twin.arrays import Bools, Chart, Floats, Points, frozen, grid_points
 from twin.errors import RecipeError
 from twin.parts.body import Block, Body, Solid
 from twin.parts.material import Cover, Material
-from twin.parts.part import LEAST_MM, Part, Place, Share
+from twin.parts.part import LEAST_MM, Flag, Part, Place, Share
 
 LEAST_GAP = 4.0
 """Distance of a bead's centre to the surface and to other markers, over its radius."""
@@ -81,7 +81,7 @@ class MarkerLayer(Part):
     texture: (
         tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0.02, le=2)]] | None
     ) = None
-    stiff: bool = False
+    stiff: Flag = False
 
     @model_validator(mode="after")
     def _prints_are_soft(self) -> MarkerLayer:

@@ -8,7 +8,7 @@ from typing import Literal, Self, TypeVar
 from pydantic import Field, field_validator, model_validator
 
 from twin.arrays import Floats
-from twin.parts.part import LEAST_MM, LEAST_MPA, Part, Share
+from twin.parts.part import LEAST_MM, LEAST_MPA, Flag, Part, Share
 
 Modulus = TypeVar("Modulus", float, Floats)
 
@@ -113,7 +113,7 @@ class Cover(Part):
     thickness_mm: float = Field(default=0.2, ge=LEAST_MM, le=5)
     albedo: tuple[Share, Share, Share] = (0.03, 0.03, 0.03)
     transmittance: Share = 0.0
-    deforms: bool = False
+    deforms: Flag = False
     youngs_modulus_mpa: float | None = Field(default=None, ge=LEAST_MPA, le=1e6)
     poisson_ratio: float | None = Field(default=None, ge=-0.5, le=0.5)
 

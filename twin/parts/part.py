@@ -302,7 +302,8 @@ def _complaint(error: dict[str, Any], part: type[Part], known: Sequence[str]) ->
     key = ".".join(
         str(k) for k in error["loc"] if k != "constrained-float"
     )  # no key: a union's number
-    unit = unit_of(str(error["loc"][-1])) if error["loc"] else ""
+    is_text = isinstance(error["input"], str)
+    unit = unit_of(str(error["loc"][-1])) if error["loc"] and not is_text else ""
     message = in_words(error, part.model_fields.get(key))
     if error["type"] == "extra_forbidden" and len(error["loc"]) == 1:
         message += f"; {did_you_mean(key, known, 'known are ' + ', '.join(known), 0.5)}"
@@ -339,6 +340,9 @@ Size = Annotated[float, Field(ge=LEAST_MM, le=1000)]
 
 Pixel = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 """A coordinate in a picture, px."""
+
+Flag = Annotated[bool, Field(strict=True)]
+"""True or false; a recipe's 1 or "yes" is neither."""
 
 Coefficient = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 """Of a lens's distortion, whatever its power."""

@@ -28,7 +28,7 @@ from twin.parts.load import Footprint, Load
 from twin.parts.markers import MarkerLayer
 from twin.parts.material import Cover, Material
 from twin.parts.methods import CentreMethod, Method, WeightRule
-from twin.parts.part import LEAST_MM, Part
+from twin.parts.part import LEAST_MM, Flag, Part
 from twin.parts.press import FEWEST_PATCHES, INCREMENTS, MOST_PATCHES, PATCHES_ACROSS, Press
 from twin.parts.vary import CUT, Distribution, flat
 
@@ -143,7 +143,7 @@ class Scene(Part):
         paths: Annotated[int, Field(ge=1, le=100_000)] = 64
         contact_patches: Across | Literal["auto"] = PATCHES_ACROSS
         contact_increments: Annotated[int, Field(ge=1, le=64)] = INCREMENTS
-        surface_table: bool = False
+        surface_table: Flag = False
 
         def displacement_for(self, modulus_pct: float) -> float:
             """Return the largest error of displacements where Young's modulus is known to so many
@@ -296,10 +296,10 @@ class Scene(Part):
         sites: Sites
         method: Method = "smooth"
         weight: Annotated[float, Field(ge=0)] | WeightRule = "auto"
-        push_only: bool = False
+        push_only: Flag = False
         friction: float | None = Field(default=None, gt=0, le=100)
-        robust: bool = False
-        camera: bool = False
+        robust: Flag = False
+        camera: Flag = False
         frames_per_second: float | None = Field(default=None, gt=0, le=1e6)
 
         def options(self) -> dict[str, Any]:
@@ -333,7 +333,7 @@ class Scene(Part):
         sampling: Literal["stratified", "random"] = "stratified"
         samples_per_sensor: int = Field(default=1000, ge=1, le=10**9)
         samples_per_shard: int = Field(default=64, ge=1, le=100_000)
-        every_step: bool = False
+        every_step: Flag = False
         sites: Sites | None = None
         columns: tuple[str, ...] = ()
 

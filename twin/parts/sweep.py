@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from twin.arrays import Floats
-from twin.parts.part import Part
+from twin.parts.part import Flag, Part
 from twin.parts.vary import Follows, flat
 
 Fidelity = Literal["closed", "linear", "full"]
@@ -121,8 +121,8 @@ class Sweep(Part):
         low: float
         high: float
         steps: int = Field(default=5, ge=1, le=10_000)
-        log: bool = False
-        whole: bool = False
+        log: Flag = False
+        whole: Flag = False
 
         @model_validator(mode="after")
         def _ordered(self) -> Sweep.Range:
@@ -175,7 +175,7 @@ class Sweep(Part):
         """
 
         force_n: float = Field(default=1.0, gt=0, le=100)
-        probe: bool = False
+        probe: Flag = False
         size_mm: float = Field(default=1.0, gt=0, le=20)
         shear: float = Field(default=0.3, ge=0, le=2)
         presses: int = Field(default=5, ge=1, le=100)
@@ -250,7 +250,7 @@ class Sweep(Part):
     fidelity: tuple[Fidelity, ...] = Field(default=("closed", "linear"), min_length=1)
     sampling: Literal["grid", "latin", "sobol", "random"] = "grid"
     count: int = Field(default=100, ge=1, le=10_000_000)
-    keep_extent: bool = True
+    keep_extent: Flag = True
     loads: Loads = Loads()
     confirm: Confirm = Confirm()
     limits: Limits = Limits()

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
 from twin.arrays import Floats
-from twin.parts.part import Part, in_words
+from twin.parts.part import Flag, Part, in_words
 
 CUT = 2.5
 """Standard deviations beyond which there are none: a maker rejects worse ones."""
@@ -36,7 +36,7 @@ class Uniform(Part):
 
     low: Number
     high: Number
-    log: bool = False
+    log: Flag = False
 
     @model_validator(mode="after")
     def _ordered(self) -> Uniform:

@@ -41,17 +41,6 @@ def _difference(record: Mapping[str, Any]) -> float | None:
     return round(value, 2 - math.floor(math.log10(abs(paper))))
 
 
-def _counted(record: Mapping[str, Any]) -> tuple[str, str]:
-    """Return a record's quantity without what its runs are, and these with their number."""
-    name, _, kind = record["quantity"].removesuffix(")").partition(" (n ")
-    many = record["n"]
-    if not kind:
-        return record["quantity"], f"{many} runs" if many > 1 else ""
-    if many > 1:
-        return name, f"{many} {kind}"
-    return name, kind.removeprefix("times ") if kind.startswith("times ") else ""
-
-
 def reproduction(
     tables: Sequence[Mapping[str, Any]],
     pictures: Mapping[str, Sequence[tuple[str, bytes]]],
@@ -74,7 +63,7 @@ def reproduction(
 
     made = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True)
     made.filters |= {"digits": digits, "base64": lambda data: base64.b64encode(data).decode()}
-    made.filters |= {"counted": _counted, "known": _known, "difference": _difference}
+    made.filters |= {"known": _known, "difference": _difference}
     both = [(table, record) for table in tables for record in table["records"]]
     verdicts = [
         r["verdict"] for _, r in both if r["paper"] is not None and not r["timed"] and not r["ours"]

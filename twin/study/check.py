@@ -22,9 +22,7 @@ import numpy as np
 from twin.arrays import Floats, Picture
 from twin.errors import InputError, MissingCapability, RecipeError
 from twin.files import MESHES, SCENES, Fact, cache_folder, fact, read_arrays
-from twin.parts.body import Body
 from twin.parts.part import Part
-from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.study.doubts import doubts
 from twin.study.recipe import find_scene, load_scene, read_recipe
@@ -94,7 +92,7 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[Fact]:
         from twin.world.contact.probe_gap import Approach
 
         for press in scene.presses:
-            _check_depth(press, Approach.of_press(press, scene.body).axes, scene.body)
+            Approach.of_press(press, scene.body).check_depth(press, scene.body)
     if scene.reconstruction is not None:
         sensor.sites  # noqa: B018  refuses sites off the sensing surface
     if scene.body.own_surface is not None:  # its mesh may be refused
@@ -113,22 +111,6 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[Fact]:
     return facts
 
 
-def _check_depth(press: Press, axes: Floats, body: Body) -> None:
-    """Refuse a press whose motions lead it deeper than a probe may sink in."""
-    (_, _, low), (_, _, high) = body.bounds_mm
-    limit, what = Press.deepest_mm(press.probe, high - low)
-    depth = 0.0
-    for by_force, given in press.in_own_axes(axes):
-        if by_force[2]:
-            return
-        depth += given[2]
-        if depth > limit:
-            raise InputError(
-                f"press: the {press.probe.kind} would sink in by {depth:.3g} mm, allowed is up to "
-                f"{limit:.3g} mm ({what}): reduce press.indentation_mm (or move_mm in the steps)"
-            )
-
-
 def _check_dataset(scene: Scene) -> list[str]:
     """Refuse what `twin dataset` refuses of a scene for datasets; return what it warns of."""
     if not (scene.vary or "dataset" in scene.model_fields_set):
@@ -137,7 +119,7 @@ def _check_dataset(scene: Scene) -> list[str]:
 
     plan = Plan(scene, 2)
     plan.check()
-    return [plan.alike] if plan.alike else []
+    return [each for each in (plan.alike, plan.misses) if each]
 
 
 def _unsourced(part: Part, path: str = "") -> list[str]:

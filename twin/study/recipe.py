@@ -489,13 +489,13 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
     if isinstance(value, dict | BaseModel):
         return f"{dotted}: {message}"
     unit = next((u for u in (unit_of(str(k)) for k in reversed(keys)) if u), "")
-    shown = f"'{value}'" if isinstance(value, str) else repr(value)
+    shown = f"'{value}'" if isinstance(value, str) else f"{value!r} {unit}".rstrip()
     if unit and error["type"].startswith(("greater_than", "less_than")):
         message = f"{message} {unit}"
     allowed = _range(keys, table, unit)
-    return f"{dotted} = {shown}{' ' + unit if unit else ''}: {message}" + (
-        f" (allowed: {allowed})" if allowed else ""
-    )
+    if isinstance(value, str) and unit and not allowed:
+        message += f" in {unit}"
+    return f"{dotted} = {shown}: {message}" + (f" (allowed: {allowed})" if allowed else "")
 
 
 def _belongs_to(keys: list[Any]) -> str:

@@ -54,8 +54,8 @@ MOST_STEPS = 1024
 AUDITS, AUDIT_EVERY = 100, 100
 """One sample in a hundred is computed again, a hundred at most, one at least."""
 
-MISSES = 8
-"""Presses drawn first of which one must touch the body."""
+MISSES, LOOKED_AT = 8, 64
+"""Presses drawn first of which one must be possible, and those that a warning counts over."""
 
 _WORK = "twin.study.dataset.sample:make_shard"
 
@@ -236,7 +236,8 @@ class Plan:
             # a value that is not allowed is the sample's failure, not the dataset's
             if not all(line.startswith(f"{self.load_table}.") for line in problem.problems):
                 raise
-        self._some_touch()
+        if len(missed := self._missed(MISSES)) == MISSES:
+            raise RecipeError(f"vary: the first {MISSES} presses all fail, the first: {missed[0]}")
         first = self.sensor_values(range(1))[0]
         ranges = {key: axis for key, axis in self.sensor_axes.items() if isinstance(axis, Uniform)}
         for end in (0.0, 1.0):
@@ -248,21 +249,27 @@ class Plan:
                 raise RecipeError([at + line for line in problem.problems]) from None
         _ = self.columns
 
-    def _some_touch(self) -> None:
-        """Refuse presses of which the first ones all miss the nominal body."""
+    @property
+    def misses(self) -> str:
+        """Warning that some presses can't be done; empty where the first ones all can."""
+        if not (found := self._missed(LOOKED_AT)):
+            return ""
+        return f"vary: {len(found)} of the first {LOOKED_AT} presses fail, the first: {found[0]}"
+
+    def _missed(self, samples: int) -> list[str]:
+        """Return why presses miss the nominal body, have values that are not allowed, or sink in
+        too deep."""
         from twin.world.contact.probe_gap import Approach
 
-        missed = ""
-        for values in [] if self.scene.tractions else self.press_values(range(MISSES)):
+        missed = []
+        for values in [] if self.scene.tractions else self.press_values(range(samples)):
             try:
                 press = self.press_of(self.press_table(values))
                 assert isinstance(press, Press)
-                Approach.of_press(press, self.scene.body)
-                return
+                Approach.of_press(press, self.scene.body).check_depth(press, self.scene.body)
             except (InputError, RecipeError) as problem:
-                missed = missed or str(problem)
-        if missed:
-            raise RecipeError(f"vary: the first {MISSES} presses all fail, the first: {missed}")
+                missed.append(str(problem))
+        return missed
 
 
 def _draws(

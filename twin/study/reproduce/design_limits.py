@@ -254,22 +254,24 @@ def _predicted(bench: Bench, name: str, chain: Chain, printed_mm: float | None) 
             "camera, tracker and inverse": replace(ours, overrides=quiet),
         }
     width = "full width at half maximum"
-    least = "least distance of two narrow forces with a dip of a fifth (n exposures)"
+    least = "least distance of two narrow forces with a dip of a fifth"
 
     def run(way: Chain, trial: Trial) -> Numbers:
         found = {}
         for force in (200.0,) if bench.quick else (200.0, 20.0):
-            under = f"{width} under the 3 mm sphere at {force:g} gf (n exposures)"
+            under = f"{width} under the 3 mm sphere at {force:g} gf"
             paper = printed_mm if force == 200 else None
             press = sphere_press((0.0, 0.0), force)
             field = way.shot(bench, press, trial, 80).field
-            found[Quantity(under, "mm", paper=paper)] = full_width(
+            found[Quantity(under, "mm", paper=paper, runs="exposures")] = full_width(
                 *_along_x(field, magnitude=True), at_least=True
             )
-        narrow = Quantity(f"{width} of a narrow force of 1 N (n exposures)", "mm", paper=printed_mm)
+        narrow = Quantity(
+            f"{width} of a narrow force of 1 N", "mm", paper=printed_mm, runs="exposures"
+        )
         return found | {
             narrow: _point_width_mm(bench, way, trial),
-            Quantity(least, "mm"): _two_points_mm(bench, way, trial),
+            Quantity(least, "mm", runs="exposures"): _two_points_mm(bench, way, trial),
         }
 
     noise = _shift_noise_px(bench, chain)

@@ -174,11 +174,12 @@ def _figure_6(bench: Bench) -> Entry.Outcome:
 
 def _shot_numbers(shot: Shot) -> Numbers:
     return {
-        Quantity("field error (n exposures)"): shot.score("field_error"),
-        Quantity("error of the total force (n exposures)"): shot.score("total_force_error"),
-        Quantity("error of the centre of pressure (n exposures)", "mm"): shot.score(
-            "centre_error_mm"
-        ),
+        Quantity(name, unit, runs="exposures"): shot.score(key)
+        for name, unit, key in (
+            ("field error", "", "field_error"),
+            ("error of the total force", "", "total_force_error"),
+            ("error of the centre of pressure", "mm", "centre_error_mm"),
+        )
     }
 
 
@@ -206,18 +207,18 @@ def _figure_7(bench: Bench) -> Entry.Outcome:
 
 def _line_numbers(repeats: int, run: ForceLine) -> Numbers:
     scatter = ((run.measured_gf - run.measured_gf.mean()) ** 2).sum()
-    n = f"(n times {repeats} repeats)"
+    runs = _resolution(repeats).runs
     return {
-        Quantity(f"slope of measured over applied force {n}"): run.fit[0],
-        Quantity(f"R squared {n}"): 1.0 - run.squares / scatter,
+        Quantity("slope of measured over applied force", runs=runs): run.fit[0],
+        Quantity("R squared", runs=runs): 1.0 - run.squares / scatter,
         _resolution(repeats): run.resolution_gf,
-        Quantity(f"{WIDEST} {n}", "gf"): run.widest_gf,
+        Quantity(WIDEST, "gf", runs=runs): run.widest_gf,
     }
 
 
 def _resolution(repeats: int) -> Quantity:
     what = "resolution: smallest difference two readings resolve at 95 %"
-    return Quantity(f"{what} (n times {repeats} repeats)", "gf", paper=READ_GF)
+    return Quantity(what, "gf", paper=READ_GF, runs=f"runs of {repeats} repeats")
 
 
 def _figure_8(bench: Bench) -> Entry.Outcome:
@@ -331,9 +332,10 @@ def _dip(bench: Bench, chain: Chain, apart_mm: float) -> float:
 
 
 def _spread_numbers(run: tuple[Floats, Floats]) -> Numbers:
-    width = Quantity("full width at half maximum (n exposures)", "mm", paper=5.0)
+    width = Quantity("full width at half maximum", "mm", paper=5.0, runs="exposures")
     jump = Quantity(
-        "largest jump off a smooth curve near the middle, of the largest magnitude (n exposures)"
+        "largest jump off a smooth curve near the middle, of the largest magnitude",
+        runs="exposures",
     )
     return {width: full_width(*_curve(*run)), jump: _jump(*run)}
 

@@ -40,6 +40,8 @@ class Quantity:
     ours
         Whether it is this project's software on the paper's hardware: the paper's number is shown,
         and isn't what should come out.
+    runs
+        What its runs are, in the plural.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Quantity:
     near: float | None = None
     timed: bool = False
     ours: bool = False
+    runs: str = "runs"
 
     def labelled(self, label: str) -> Quantity:
         """Return the quantity with a label before its name."""
@@ -117,8 +120,8 @@ def _common(one: Sequence[Interval], other: Sequence[Interval]) -> list[Interval
 @dataclass(frozen=True, kw_only=True)
 class Record:
     """One quantity of one table or figure: the mean of ``n`` runs and their standard deviation
-    (None for one), which differ in seed (made sensor and noise) or, where the quantity names it, in
-    noise alone; the number by cause switched off, and at the values of what isn't printed."""
+    (None for one), which differ in seed (made sensor and noise) or, if they are exposures, in noise
+    alone; the number by cause switched off, and at the values of what isn't printed."""
 
     quantity: Quantity
     twin: float
@@ -221,6 +224,7 @@ class Record:
             "paper": _rounded(what.paper),
             "spread": _rounded(self.spread),
             "n": self.n,
+            "runs": what.runs,
             "explained_by": [
                 {"cause": cause, "value": _rounded(value)}
                 for cause, value in self.explained_by.items()

@@ -279,7 +279,8 @@ def _line(error: dict[str, Any]) -> str:
         return f"{dotted}: unknown key; {hint}"
     if error["type"] == "missing":
         return f"{dotted}: {in_words(error)}"
-    value, unit = error.get("input"), unit_of(last)
+    value = error.get("input")
+    unit = "" if isinstance(value, str) else unit_of(last)
     shown = ""
     if keys and not isinstance(value, dict | Sweep):
         shown = f" = {value!r}{' ' + unit if unit else ''}"

@@ -456,7 +456,7 @@ def _scored(sweep: Sweep, designs: Designs, stage: str, rows: Rows) -> Floats:
 
 def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[Fact]:
     """Return what a sweep would do and, unless ``workers`` is 0, how long it takes, from the CPU
-    seconds of a few designs; `RecipeError` where it can't be run."""
+    seconds of a few designs; `RecipeError` where it can't be run, or no design is possible."""
     facts, good, designs = _overview(sweep, scene)
     left = len(good)
     for stage in sweep.ladder if workers else ():
@@ -490,8 +490,10 @@ def _overview(sweep: Sweep, scene: Scene) -> tuple[list[Fact], Ints, Designs]:
     designs = Designs.of(sweep, scene)
     found = closed(designs)[1]
     good = np.flatnonzero(found == "")
-    if len(good):
-        designs.scene_of(int(good[0]))
+    if not len(good):
+        ((reason, _),) = Counter(map(str, found)).most_common(1)
+        raise RecipeError(f"None of {len(designs)} designs is possible: {reason}")
+    designs.scene_of(int(good[0]))
     over = f"{len(designs)} ({sweep.sampling}) over {', '.join(sweep.axes)}"
     dropped = len(designs) - len(good)
     facts = [
@@ -500,8 +502,6 @@ def _overview(sweep: Sweep, scene: Scene) -> tuple[list[Fact], Ints, Designs]:
     ]
     for reason in sorted({str(r) for r in found if r}):
         facts.append(fact(f"{'':12s}{int((found == reason).sum())}", reason, mark=": "))
-    if not len(good):
-        facts.append(fact("warning", "no design is possible: change what the reasons name"))
     target = sweep.targets.get("two_point_mm")
     swept = designs.swept("reconstruction.sites.pitch_mm")
     if target is not None and scene.reconstruction and not swept and not sweep.loads.probe:

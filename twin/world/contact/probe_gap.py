@@ -391,6 +391,22 @@ class Approach:
         """The probe's surface."""
         return _shape_of(self.probe, self.tilt_deg, RIM)
 
+    def check_depth(self, press: Press, body: Body) -> None:
+        """Raise `InputError` if a press's motions lead it deeper than a probe may sink in."""
+        (_, _, low), (_, _, high) = body.bounds_mm
+        limit, what = Press.deepest_mm(press.probe, high - low)
+        depth = 0.0
+        for by_force, given in press.in_own_axes(self.axes):
+            if by_force[Z]:
+                return
+            depth += given[Z]
+            if depth > limit:
+                raise InputError(
+                    f"press: the {press.probe.kind} would sink in by {depth:.3g} mm, allowed is up "
+                    f"to {limit:.3g} mm ({what}): reduce press.indentation_mm (or move_mm in the "
+                    "steps)"
+                )
+
     @cached_property
     def is_flat(self) -> bool:
         """Whether the probe touches with a flat face, so that its footprint bounds the contact."""
