@@ -132,59 +132,6 @@ class Field(Table):
         """Return a row for every site: place, mm, force, N, and its standard deviation, N."""
         return self.of_sites(self.site_mm, self.force_n, self.sd_force_n)
 
-    def relaxed(self, history: Hereditary, seconds: float) -> Field:
-        """Return the field with the forces of rubber that relaxes.
-
-        The displacements of a picture follow from the forces before it, too. `reconstruct` takes
-        them for those of elastic rubber: what it finds rises under a force that is held, and stays
-        after the force has gone. Standard deviations grow by what happens between pictures
-        (`Hereditary.off`). Bounds that `reconstruct` was given hold for its own forces only.
-
-        Parameters
-        ----------
-        history
-            What the rubber remembers, of all fields of a sequence; it is updated.
-        seconds
-            Time since the last field, s; 0 for the first one.
-        """
-        count = self.force_n.size
-        parts = (self.force_n.ravel(), self.total_force_n, self.total_torque_nmm)
-        forces = history.after(seconds, np.concatenate(parts))
-        off = history.off
-        return replace(
-            self,
-            force_n=forces[:count].reshape(-1, 3),
-            total_force_n=forces[count:-3],
-            total_torque_nmm=forces[-3:],
-            sd_force_n=np.hypot(self.sd_force_n, off[:count].reshape(-1, 3)),
-            sd_total_n=np.hypot(self.sd_total_n, off[count:-3]),
-            sd_torque_nmm=np.hypot(self.sd_torque_nmm, off[-3:]),
-        )
-
-    def at_unknown_time(self, relaxation: Relaxation) -> Field:
-        """Return the field with the forces of rubber that has relaxed by an unknown part.
-
-        Under a load that only rises or is held, they lie between those that `reconstruct` finds, of
-        rubber that hasn't relaxed, and the part of them that is left at last. The field is half-way
-        between the two, and the ends are one more standard deviation away: a touch is mostly much
-        shorter or much longer than the rubber's times.
-        """
-        open_part = float(relaxation.share.sum()) / 2
-        share = 1.0 - open_part
-
-        def spread(deviation: Floats, value: Floats) -> Floats:
-            return np.hypot(share * deviation, open_part * value)
-
-        return replace(
-            self,
-            force_n=share * self.force_n,
-            total_force_n=share * self.total_force_n,
-            total_torque_nmm=share * self.total_torque_nmm,
-            sd_force_n=spread(self.sd_force_n, self.force_n),
-            sd_total_n=spread(self.sd_total_n, self.total_force_n),
-            sd_torque_nmm=spread(self.sd_torque_nmm, self.total_torque_nmm),
-        )
-
     def plot(self, ax: Any = None) -> Any:
         """Draw the field on matplotlib axes, new ones if none are given, and return them."""
         return plot_forces(new_axes(1, ax), self.site_mm, self.force_n, "recovered forces")
@@ -202,6 +149,8 @@ def reconstruct(
     robust: bool = False,
     camera: bool = False,
     previous: Field | None = None,
+    history: Hereditary | None = None,
+    after_s: float = 0.0,
 ) -> Field:
     """Reconstruct the forces that moved the markers.
 
@@ -233,6 +182,11 @@ def reconstruct(
     previous
         The last frame's field, where a constrained solve starts. It changes the time of a solve,
         not its result.
+    history
+        Of rubber that relaxes (`Calibration.relaxation`): what it remembers of a sequence's fields
+        before this one; it is updated. None where this field stands alone.
+    after_s
+        Time since the last field of ``history``, s; 0 for the first one.
 
     Raises
     ------
@@ -246,6 +200,14 @@ def reconstruct(
     constraints the same objective is minimised (`twin.sense.constraints`). The camera's bend
     g(F) - H F is taken off the data and the solve repeated until nothing changes: Gauss-Newton with
     the derivative kept from the rest state.
+
+    These are the forces of elastic rubber. Of rubber that relaxes they rise under a force that is
+    held, and stay after the force has gone, so they are corrected at the end: with ``history`` by
+    the convolution over the sequence, with deviations that grow by what happens between pictures
+    (`Hereditary.off`); without it by what is known at an unknown time. Under a load that only rises
+    or is held, forces lie between the elastic ones and the part of these that is left at last. The
+    field is half-way between the two, and the ends are one more standard deviation away: a touch is
+    mostly much shorter or much longer than the rubber's times. Bounds hold for the elastic forces.
 
     Examples
     --------
@@ -293,7 +255,7 @@ def reconstruct(
         force, kkt = _held(linear, at, friction, camera, start)
     everywhere = np.zeros(len(problem.used), np.bool_)
     everywhere[problem.known] = linear.wrong
-    return Field(
+    field = Field(
         site_mm=calibration.site_mm,
         force_n=force,
         total_force_n=totals[:3],
@@ -307,6 +269,47 @@ def reconstruct(
         wrong=everywhere,
         method=method,
         kkt=kkt,
+    )
+    if calibration.relaxation is None:
+        return field
+    if history is None:
+        return _at_unknown_time(field, calibration.relaxation)
+    return _relaxed(field, history, after_s)
+
+
+def _relaxed(field: Field, history: Hereditary, seconds: float) -> Field:
+    """Return an elastic field as that of rubber which remembers ``history``, and update it."""
+    count = field.force_n.size
+    parts = (field.force_n.ravel(), field.total_force_n, field.total_torque_nmm)
+    forces = history.after(seconds, np.concatenate(parts))
+    off = history.off
+    return replace(
+        field,
+        force_n=forces[:count].reshape(-1, 3),
+        total_force_n=forces[count:-3],
+        total_torque_nmm=forces[-3:],
+        sd_force_n=np.hypot(field.sd_force_n, off[:count].reshape(-1, 3)),
+        sd_total_n=np.hypot(field.sd_total_n, off[count:-3]),
+        sd_torque_nmm=np.hypot(field.sd_torque_nmm, off[-3:]),
+    )
+
+
+def _at_unknown_time(field: Field, relaxation: Relaxation) -> Field:
+    """Return an elastic field as that of rubber which has relaxed by an unknown part."""
+    open_part = float(relaxation.share.sum()) / 2
+    share = 1.0 - open_part
+
+    def spread(deviation: Floats, value: Floats) -> Floats:
+        return np.hypot(share * deviation, open_part * value)
+
+    return replace(
+        field,
+        force_n=share * field.force_n,
+        total_force_n=share * field.total_force_n,
+        total_torque_nmm=share * field.total_torque_nmm,
+        sd_force_n=spread(field.sd_force_n, field.force_n),
+        sd_total_n=spread(field.sd_total_n, field.total_force_n),
+        sd_torque_nmm=spread(field.sd_torque_nmm, field.total_torque_nmm),
     )
 
 

@@ -197,7 +197,8 @@ def _read_back(
     from twin.sense.reconstruct import reconstruct
 
     options = scene.inverse.options()
-    fields = [reconstruct(one, made, **options) for one in found]
+    elastic = _stating(made, {"relaxation": []})  # as ``force_n`` is
+    fields = [reconstruct(one, elastic, **options) for one in found]
     stated = np.array([field.sd_total_n for field in fields])
     totals = np.array([field.total_force_n for field in fields]) - force_n
     allowed = np.hypot(stated, scene.calibration.load_cell_n)

@@ -292,11 +292,11 @@ class Environment:
                 "no marker was found in the picture: is the press far beyond what the sensor can "
                 "follow?"
             )
-        field = reconstruct(found, calibration, **options)
         if seconds is not None and calibration.relaxation is not None:
             if self._history is None:
                 self._history = Hereditary(calibration.relaxation)
-            field = field.relaxed(self._history, seconds)
+            options |= {"history": self._history, "after_s": seconds}
+        field = reconstruct(found, calibration, **options)
         # The truth, and the error against it.
         rest = sensor.actual.markers.points
         truth = _Happened(

@@ -265,17 +265,20 @@ def _reconstruct_frames(
         if frame.picture is not None:
             try:
                 found = tracker.track(frame.picture, number)
-                field = before = reconstruct(found, calibration, previous=before, **options)
+                time_s = None if clock is None else clock(number, frame.name)
+                since_s = 0.0 if time_s is None or last_s is None else time_s - last_s
+                if since_s < 0.0:
+                    raise InputError(f"its time, {time_s:g} s, is before the last frame's")
+                before = field = reconstruct(
+                    found,
+                    calibration,
+                    previous=before,
+                    history=history,
+                    after_s=since_s,
+                    **options,
+                )
+                last_s = time_s
                 bump = Bump.of(found, calibration)
-                if rubber is not None and clock is None:
-                    field = field.at_unknown_time(rubber)
-                if history is not None and clock is not None:
-                    time_s = clock(number, frame.name)
-                    since_s = 0.0 if last_s is None else time_s - last_s
-                    if since_s < 0.0:
-                        raise InputError(f"its time, {time_s:g} s, is before the last frame's")
-                    field = field.relaxed(history, since_s)
-                    last_s = time_s
                 doubts = [doubt, *_doubts(found, field, bump, int(known.sum()), calibration.grid)]
                 reason = "; ".join(filter(None, doubts))
             except InputError as problem:

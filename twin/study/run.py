@@ -327,14 +327,11 @@ class _Stages:
         with self._stage("reconstruction"):
             try:
                 options = self.scene.reconstruction.options()
-                field = reconstruct(self.found, self.calibration, **options)
                 if self.state is not None and self.ends_s is not None and self.rest is not None:
-                    field = _relaxed(
-                        self.sensor, field, self.rest, self.state, self.ends_s, self.calibration
+                    options |= _history(
+                        self.sensor, self.rest, self.state, self.ends_s, self.calibration
                     )
-                elif self.calibration.relaxation is not None:
-                    field = field.at_unknown_time(self.calibration.relaxation)
-                self.field = field
+                self.field = reconstruct(self.found, self.calibration, **options)
             except InputError as problem:
                 self.failures["force"] = str(problem)
 
@@ -464,16 +461,15 @@ def _at_rate(scene: Scene, press: Press) -> tuple[Press, Floats | None]:
     return at_frames(press, rate)
 
 
-def _relaxed(
+def _history(
     sensor: Sensor,
-    last: Field,
     rest: Picture,
     state: ContactState,
     ends_s: Floats,
     calibration: Calibration,
-) -> Field:
-    """Return the last frame's field with forces of rubber that relaxes, from all frames before
-    it."""
+) -> dict[str, Any]:
+    """Return what the last frame's reconstruction takes of all frames before it, of rubber that
+    relaxes."""
     from twin.sense.reconstruct import reconstruct
     from twin.sense.track import Tracker
     from twin.theory.relaxation import Hereditary
@@ -493,16 +489,15 @@ def _relaxed(
         if sensor.progress is not None:
             sensor.progress(f"frame at {end_s:.3g} s", 0.8)
         picture = sensor.picture(sensor.quick_motion(one.load), 2 + number, frame)
+        memory = {"history": history, "after_s": end_s - before_s}
         try:
-            field = reconstruct(
-                tracker.track(picture, frame), calibration, **scene.inverse.options()
-            )
+            found = tracker.track(picture, frame)
+            reconstruct(found, calibration, **memory, **scene.inverse.options())
         except InputError:  # bridged, as in a recording
             tracker.forget()
             continue
-        field.relaxed(history, end_s - before_s)
         before_s = end_s
-    return last.relaxed(history, last_s - before_s)
+    return {"history": history, "after_s": last_s - before_s}
 
 
 def _pressed(sensor: Sensor, press: Press, keep_last: bool) -> ContactState:
