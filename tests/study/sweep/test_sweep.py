@@ -270,8 +270,8 @@ def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(tmp_path, mo
 
     monkeypatch.setattr(fidelities, "full", pictured)
     told = sweep_run.estimate(*small(fidelity=["full"], sensors=5, confirm={"full": 2}), workers=1)[-1][0]
-    assert "6 designs, about 63 s" in told, "all are taken by the first fidelity: 3 s and 6 times 5 times 2"
-    assert sensors == [1, 1]
+    assert "6 designs, about 150 s" in told, "all take the first fidelity: 6 times 5 times 5, with what begins"
+    assert sensors == [1]
 
 
 def test_the_command_says_what_it_would_do(tmp_path: Path) -> None:

@@ -614,6 +614,7 @@ def _seen(
     zeros = [track_frame(rest, sensor.exposed(still, 1 + k)) for k in range(count)]
     # a marker's noise is the same in every picture, so that one factorisation serves them all
     stated = np.nanmean([zero.sd_px for zero in zeros], axis=0) if count > 1 else zeros[0].sd_px
+    usual = zeros[0].usual_sd_px
     # Each load: one light, several exposures, each tracked and reconstructed.
     at_rest = sensor.project(points)
     options = scene.inverse.options()
@@ -632,7 +633,7 @@ def _seen(
             pictures = pictures or [picture]
             found = track_frame(rest, picture)
             moved = found.shift_px - zeros[k].shift_px
-            found = replace(found, shift_px=moved, sd_px=stated, drift_px=0.0)
+            found = replace(found, shift_px=moved, sd_px=stated, usual_sd_px=usual, drift_px=0.0)
             found_field = reconstruct(found, calibration, **options)
             shifts.append(found.shift_px)
             errors.append(found.shift_px - true)
