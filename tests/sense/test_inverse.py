@@ -79,6 +79,8 @@ def test_bounds_that_hold_in_truth_lower_the_field_error():
         assert push.force_n[:, 2].min() >= 0
         assert max(push.kkt, cone.kkt) < 1e-9
         assert np.array_equal(cone.total_force_n, plain.total_force_n)
+        apart = np.abs(cone.force_n.sum(axis=0) - cone.total_force_n)
+        assert np.all((cone.sd_total_n >= apart) & (cone.sd_total_n > plain.sd_total_n)), "states the difference"
         again = reconstruct(found, calibration, friction=0.8, previous=cone)
         assert again.force_n == pytest.approx(cone.force_n, rel=0.1, abs=0.02)
 

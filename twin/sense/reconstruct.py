@@ -82,7 +82,8 @@ class Field(Table):
         leaves open (`Calibration.scale_error`, `Calibration.by_thickness`,
         `Calibration.by_camera`, `Calibration.mesh_error`; recorded places leave nothing), and by
         `Found.gain_error` and `Found.drift_px`. By ``local`` also by where forces are expected, and
-        by the misfit of markers next to them (`Factors.misfit_variance`).
+        by the misfit of markers next to them (`Factors.misfit_variance`); under bounds also by how
+        far the bounded forces' totals lie from these.
     used
         (n,) which markers took part.
     wrong
@@ -253,6 +254,7 @@ def reconstruct(
             at = float(10.0 ** (DECADE * np.round(np.log10(at) / DECADE)))
         start = None if previous is None else previous.force_n
         force, kkt = _held(linear, at, friction, camera, start)
+        sd_total = np.hypot(sd_total, rows @ force.ravel() - totals)
     everywhere = np.zeros(len(problem.used), np.bool_)
     everywhere[problem.known] = linear.wrong
     field = Field(

@@ -391,9 +391,10 @@ def _doubts(found: Found, field: Field, bump: Bump, known: int, grid: tuple[int,
             "px): is it this sensor's calibration, and the picture upright?"
         )
     total, bounded = field.total_force_n, field.force_n.sum(axis=0)
-    sure = _SURE * field.sd_total_n
-    largest = max(np.linalg.norm(total), np.linalg.norm(bounded))
     apart = total - bounded
+    # The deviations state this difference, too, by which the picture is judged here.
+    sure = _SURE * np.sqrt(np.maximum(field.sd_total_n**2 - apart**2, 0.0))
+    largest = max(np.linalg.norm(total), np.linalg.norm(bounded))
     if (abs(apart) > sure).any() and np.linalg.norm(apart) > _DIFFER * largest:
         doubts.append(
             f"no pushes within the friction make this motion: they sum to Fz {bounded[2]:.2g} "
