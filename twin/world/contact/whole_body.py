@@ -52,6 +52,7 @@ from twin.world.contact.probe_gap import (
     half_extent,
 )
 from twin.world.elasticity.factor import Factor
+from twin.world.elasticity.strain_law import cofactor_slope
 from twin.world.mesh.elements import inverses, quadrature, shapes
 from twin.world.mesh.quadratic_mesh import Mesh
 
@@ -176,7 +177,23 @@ class Rubber(MixedRubber):
 
     @cached_property
     def _rest_blocks(self) -> Floats:
-        return self._chunked_blocks(np.zeros(self.size), np.arange(len(self._row)))
+        """`MixedRubber._blocks` at rest, where the slope of the stress is one everywhere."""
+        count, places = self._volume.shape
+        own = self._slopes.reshape(count, places, 30)
+        weighted = self._volume[..., None] * self._shares
+        products = (self._volume[..., None] * own).swapaxes(1, 2) @ own
+        products = products.reshape(count, 10, 3, 10, 3).swapaxes(2, 3).reshape(-1, 9)
+        one = np.eye(3)
+        slope = self._shear * self._law.slope(one, one, np.ones(()), cofactor_slope(one))
+        stiff = (products @ slope.transpose(1, 3, 0, 2).reshape(9, 9)).reshape(-1, 10, 10, 3, 3)
+        by_volume = own.swapaxes(1, 2) @ weighted
+        squares = -self._softness * (self._shares.T @ weighted)
+        blocks = np.empty((count, 34, 34))
+        blocks[:, :30, :30] = stiff.swapaxes(2, 3).reshape(count, 30, 30)
+        blocks[:, :30, 30:] = by_volume
+        blocks[:, 30:, :30] = by_volume.swapaxes(1, 2)
+        blocks[:, 30:, 30:] = squares
+        return blocks
 
     def _chunked_blocks(self, unknowns: Floats, some: Ints) -> Floats:
         parts = range(0, max(len(some), 1), _CHUNK)
@@ -491,8 +508,8 @@ class RubberContact:
             """Take a step by the stiffness at rest."""
             return self._stepped(state, self._rest_stiffness, *held, linear=linear)
 
-        if linear:
-            return rubber.newton(at_rest, state, MOST_STEPS, to)
+        if linear:  # but for contact, whose balance each step ends in, it is linear: one will do
+            return rubber.newton(at_rest, state, 1, math.inf)
         if not self._rubs:
             mix = rubber.mixing(3 * len(rubber.mesh.points), _MIXED)
 

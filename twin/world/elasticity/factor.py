@@ -106,9 +106,12 @@ class Factor:
         if self.solver == "pardiso":
             self._apply = _pardiso(shifted)
         else:
-            order = _dissection(shifted, np.arange(len(diagonal)) if node is None else node)
+            first = np.arange(len(diagonal))
+            node = first if node is None else node
+            first = first if last is None else np.delete(first, last)
+            order = first[_dissection(shifted[first][:, first], node[first])]
             if last is not None:
-                order = np.concatenate([order[~np.isin(order, last)], last])
+                order = np.concatenate([order, last])
             self._apply, factor = _superlu(shifted, order)
             if last is not None:
                 self.schur = _last_block(factor, len(last)) / np.outer(
