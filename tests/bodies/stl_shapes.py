@@ -69,6 +69,23 @@ def solid_pad(folder, edge_mm=None):
     return Solid(file=str(file), held=HELD_ABOVE, sensing={"normal": (0, 0, -1), "within_deg": 60})
 
 
+def solid_holed(folder, chords=16, radius=2.0):
+    """Return a pad of 16 x 12 x 8 mm with a hole along y in its middle, cut into ``chords``."""
+    turn = 2 * np.pi * np.arange(chords) / chords - 0.75 * np.pi
+    share = 4 * np.arange(chords // 4)[:, None] / chords
+    corners = np.array([(-8.0, 0), (8, 0), (8, 8), (-8, 8)])
+    outer = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    hole = radius * np.column_stack([np.cos(turn), np.sin(turn)]) + (0, 4)
+    one = np.arange(chords)
+    two = np.roll(one, -1)
+    ring = np.concatenate([np.stack([one + chords, one, two], 1), np.stack([one + chords, two, two + chords], 1)])
+    flat = prism(np.concatenate([outer, hole]), ring, 12.0)
+    turned = (flat[:, :, [0, 2, 1]] - [0.0, 6.0, 0.0])[:, ::-1]
+    held = {"plane": {"point_mm": (0, 0, 8), "normal": (0, 0, 1)}}
+    sensing = {"plane": {"point_mm": (0, 0, 0), "normal": (0, 0, -1)}}
+    return Solid(file=str(write_stl(folder / "holed.stl", turned)), held=held, sensing=sensing)
+
+
 def wedge():
     """Return a wedge of 8 degrees, 30 mm long."""
     height = 30 * np.tan(np.radians(8))

@@ -8,7 +8,17 @@ import pytest
 from layered import Layered, bump_displacement
 from slabs import block_boxes
 from standard_bodies import BLOCK, DOME, REFERENCE, asymmetry, relative_error, traction_of, write_stl
-from stl_shapes import SENSING_BELOW, bracket, rounded_pad, solid_box, solid_bracket, solid_dome, solid_pad, wedge
+from stl_shapes import (
+    SENSING_BELOW,
+    bracket,
+    prism,
+    rounded_pad,
+    solid_box,
+    solid_bracket,
+    solid_dome,
+    solid_pad,
+    wedge,
+)
 
 import twin.world.mesh.body_mesh
 from twin.errors import InputError
@@ -58,18 +68,38 @@ def test_a_box_of_triangles_moves_as_the_block(tmp_path):
     assert apart(moved(solid, mine, LOADS, points), moved(SMALL, theirs, LOADS, points)) < 1e-9
 
 
-def test_a_facetted_dome_on_the_domes_mesh_is_off_by_its_facets_only(tmp_path):
+def test_a_facetted_dome_on_the_domes_mesh_moves_as_the_dome(tmp_path):
+    """As flat triangles, 0.04 and 0.01 mm below the dome, it was 2.3 and 0.5 % off."""
     coarse, fine = (solid_dome(tmp_path, edge) for edge in (1.5, 0.75))
     dome, mesh = coarse[1], Mesh.read(MESHES / "dome.sketch.npz")
     points = dome.chart_points(np.random.default_rng(3).uniform(-4, 4, (60, 2)), 1.0)
     loads = [Traction.bump((0, 0), 2, (0, 0, 1)), Traction.bump((2.5, 1), 2, (1, 0, 0))]
     true = moved(dome, mesh, loads, points)
-    off = []
-    for solid, _ in (coarse, fine):
+    for (solid, _), off in ((coarse, 5e-4), (fine, 2e-4)):
         own = snapped_mesh(solid, mesh.points[: mesh.corners], mesh.tets[:, :4])
-        off.append(apart(moved(solid, own, loads, points), true))
-    assert off[0] < 0.03
-    assert off[1] < 0.4 * off[0]
+        assert not Quality.of(own, solid).failures()
+        assert apart(moved(solid, own, loads, points), true) < off
+
+
+@pytest.mark.slow
+def test_check_states_chords_and_edges_that_may_be_some(tmp_path, says):
+    recipe = (
+        '[body]\nshape = "solid"\nfile = "pad.stl"\nheld = {normal = [0, 0, 1], within_deg = 5}\n'
+        "sensing = {normal = [0, 0, -1], within_deg = 5}\n[material]\n"
+    )
+    (tmp_path / "pad.toml").write_text(recipe)
+    turn = 2 * np.pi * np.arange(10) / 10
+    tower = prism(8 * np.column_stack([np.cos(turn), np.sin(turn)]), [(0, k, k + 1) for k in range(1, 9)], 5.0)
+    write_stl(tmp_path / "pad.stl", tower)
+    printed = says(0, "check", str(tmp_path / "pad.toml"))
+    assert "warning: edges of 30 to 40 deg" in printed
+    assert "curved faces" not in printed
+    turn = 2 * np.pi * np.arange(30) / 30
+    disc = prism(8 * np.column_stack([np.cos(turn), np.sin(turn)]), [(0, k, k + 1) for k in range(1, 29)], 5.0)
+    write_stl(tmp_path / "pad.stl", disc)
+    printed = says(0, "check", str(tmp_path / "pad.toml"))
+    assert "curved faces: triangles lie up to 0.044 mm off them" in printed
+    assert "edges of" not in printed
 
 
 def test_nodes_stay_where_the_pressed_part_ends_within_a_rounding(tmp_path):
@@ -122,17 +152,14 @@ def own_cache(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_dome_meshed_from_its_file_is_off_by_the_square_of_its_facets(own_cache):
-    """A sixth of the edge would leave a sixth, were it linear; two meshes of a body differ by 0.3 to 0.6 %."""
-    off = []
+def test_a_dome_meshed_from_its_file_moves_as_the_dome(own_cache):
+    """Two meshes of a body differ by 0.3 to 0.6 %; as flat triangles the first was up to 8 % off."""
     for edge in (3.0, 0.5):
         solid, dome = solid_dome(own_cache, edge)
         points = dome.chart_points(np.random.default_rng(5).uniform(-4, 4, (100, 2)), 1.0)
         loads = [Traction.bump((0, 0), 2, (0, 0, 1)), Traction.bump((4, 0), 1.5, (1, 0, 0.5))]
         both = [moved(body, body_mesh(body, "coarse"), loads, points) for body in (solid, dome)]
-        off.append(apart(*both))
-    assert off[0] < 0.08
-    assert off[1] < 0.15 * off[0]
+        assert apart(*both) < 0.01
 
 
 @pytest.mark.slow

@@ -6,9 +6,14 @@ be drawn along the edge's rounding. In a body with dents such a plane may cut th
 so inside it the plain distance is taken. The side of the surface follows from normals averaged by
 angle over the nearest corner or edge (J. A. Baerentzen, H. Aanaes, 2005).
 
-Validity: distances are those to the triangles, exactly. A curved surface cut into triangles of edge
-h lies up to h^2 / (8 R) from the drawn one (R its radius of curvature), and its normals are off by
-up to h / (2 R).
+Triangles of a curved face are chords of it: with edges h long they lie up to h^2 / (8 R) off the
+face that was drawn (R its radius of curvature), and their normals are off by up to h / (2 R). So
+each triangle is bent (`Pieces.rises`): the height over it is a quadratic function that follows from
+the normals at its corners, and the distance is that to the triangle plus the height at the nearest
+place.
+
+Validity: a bent triangle leaves the triangles' own error where normals at corners are uncertain: of
+edges that are as long as a tenth of the circumference, or next to faces much narrower or wider.
 """
 
 from __future__ import annotations
@@ -29,6 +34,26 @@ FACE = 0
 
 _IN_LEAF = 4
 """Triangles in a leaf of the tree at most."""
+
+_COPLANAR = 1e-3
+"""Angle between triangles, rad, up to which they are of one plane: corners in files are rounded."""
+
+_FLATTER = 2.5
+"""A face is flat if it is so many times as wide as its neighbours, over their turns: of a circle
+cut into chords of two widths a wide one among narrow ones is 1.7 to 2.3, the flat between two
+fillets 3 where it is twice as wide as their chords."""
+
+_MOST_RISE = 3.0
+"""Rise of an edge at most, over turn and width of a triangle: 0.5 over the chord of a circle, 1.0
+of even triangles of a sphere."""
+
+_LONGER, _LARGER = 3.0, 6.0
+"""Times that an edge may be as long as a neighbour that turns against it, as a chord of the same
+curve, and a plane face as large as others at a corner: elsewhere the curvature jumps, as where a
+fillet becomes a corner."""
+
+_BENT_STEPS, _STEEP = 4, 0.05
+"""Steps from a triangle to the bent one along z, and the least slope against it."""
 
 _TOUCHING_MM = 1e-9
 _PARALLEL = 1e-12
@@ -235,19 +260,22 @@ def _onto_triangles(points: Points, corners: Floats) -> tuple[Points, Ints]:
 @dataclass(frozen=True)
 class _Nearest:
     """Of points (...): the signed distance from a piece, its gradient (..., 3), the plain distance,
-    the direction (..., 3) from its nearest place, and whether a point is inside of it."""
+    the direction (..., 3) from its nearest place, whether a point is inside of it, and how far it
+    is bent there."""
 
     distance: Floats
     normal: Floats
     plain: Floats
     towards: Floats
     within: Bools
+    bent: Floats
 
     @classmethod
     def empty(cls, shape: int | tuple[int, int]) -> _Nearest:
         one = np.empty(shape)
         way = np.empty((*one.shape, 3))
-        return cls(one, way, np.zeros_like(one), np.zeros_like(way), np.zeros(shape, bool))
+        bent = np.zeros_like(one)
+        return cls(one, way, np.zeros_like(one), np.zeros_like(way), np.zeros(shape, bool), bent)
 
     def fill(self, place: Any, found: _Nearest) -> None:
         """Set some of the points."""
@@ -257,7 +285,8 @@ class _Nearest:
     def limit(self, depth: Floats) -> None:
         """Take the plain distance where, inside a body with dents, a piece's plane cuts other
         parts: where its distance is less than ``depth``, that to the whole surface."""
-        far_away = (depth > _TOUCHING_MM) | (self.distance < depth - _TOUCHING_MM)
+        room = _TOUCHING_MM + self.bent
+        far_away = (depth > room) | (self.distance < depth - room)
         self.distance[far_away] = self.plain[far_away]
         clear = far_away & (self.plain > _TOUCHING_MM)
         self.normal[clear] = self.towards[clear]
@@ -271,8 +300,9 @@ rounded."""
 class Pieces:
     """A closed surface whose triangles belong to pieces, (m,) from 0."""
 
-    def __init__(self, surface: Surface, piece: Ints) -> None:
+    def __init__(self, surface: Surface, piece: Ints, rises: Floats | None = None) -> None:
         self.surface = surface
+        self._rises = rises
         self.piece = frozen(np.asarray(piece, np.int64))
         self.count = int(self.piece.max()) + 1
         self._corners = frozen(surface.vertices[surface.triangles])
@@ -341,8 +371,13 @@ class Pieces:
         if not self.is_convex:
             triangle, foot, feature = self._tree.nearest(points)
             away = points - foot
-            within = np.einsum("ni,ni->n", away, self._outward[triangle, feature]) <= 0.0
-            found.limit(np.where(within, 1.0, -1.0) * np.linalg.norm(away, axis=1))
+            inward = -self._outward[triangle, feature]
+            plain = np.linalg.norm(away, axis=1)
+            depth = np.where(np.einsum("ni,ni->n", away, inward) >= 0.0, plain, -plain)
+            if self._rises is not None:
+                height, bent = self._bent(triangle, foot, feature, plain, inward)
+                depth = (depth + height) / np.linalg.norm(bent, axis=1)
+            found.limit(depth)
         return found.distance, found.normal
 
     def _measured(self, points: Points) -> tuple[Floats, Floats]:
@@ -383,7 +418,33 @@ class Pieces:
         towards = away / np.where(clear, plain, 1.0)[:, None]
         plain_way = clear & ~beyond
         normal = np.where(plain_way[:, None], side[:, None] * towards, inward)
-        return _Nearest(distance, normal, plain, towards, within)
+        height = np.zeros(len(points))
+        if self._rises is not None:
+            near = np.where(beyond, np.inf, plain)
+            height, bent = self._bent(triangle, foot, feature, near, normal)
+            steep = np.linalg.norm(bent, axis=1)
+            distance = (distance + height) / steep
+            normal = bent / steep[:, None]
+            depth = (side * plain + height) / steep
+            plain, within = np.abs(depth), depth >= 0.0
+            inwards = np.where(within, 1.0, -1.0)[:, None] * normal
+            towards = np.where(beyond[:, None], towards, inwards)
+        return _Nearest(distance, normal, plain, towards, within, np.abs(height))
+
+    def _bent(
+        self, triangle: Ints, foot: Points, feature: Ints, plain: Floats, inward: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return the heights (n,) of bent triangles over the places ``foot`` (n, 3) of flat ones
+        nearest to points ``plain`` (n,) away, and the gradients (n, 3) of the distance from them,
+        not of unit length; of the flat ones they are ``inward`` (n, 3)."""
+        assert self._rises is not None
+        rises = self._rises[triangle]
+        height, slope = _heights(self._corners[triangle], rises, foot)
+        # Next to an edge, too, the bent triangle has one normal, where the flat ones have two.
+        on_face = feature == FACE
+        near = on_face | (plain < np.abs(rises).max(axis=1))
+        flat = np.where(on_face[:, None], inward, -self._outward[triangle, FACE])
+        return height, np.where(near[:, None], flat + slope, inward)
 
     def nearest_triangles(self, points: Points, piece: Ints) -> Ints:
         """Return (n,) the triangle of the piece (n,) that is nearest to each of (n, 3) points."""
@@ -408,7 +469,11 @@ class Pieces:
             same = (found >= 0) & (height <= z[ties] + _TOUCHING_MM)
             triangle[ties[same]] = own[found[same]]
         points[:, 2] = np.where(met, z, np.nan)
-        return np.where(met, self.piece[triangle], -1), points
+        piece = np.where(met, self.piece[triangle], -1)
+        for _ in range(_BENT_STEPS if self._rises is not None else 0):
+            distance, normal = self.from_pieces(points[met], piece[met])
+            points[met, 2] -= distance / np.maximum(normal[:, 2], _STEEP)
+        return piece, points
 
     def edges(self, chosen: Bools) -> Points:
         """Return the (e, 2, 3) ends of edges between the ``chosen`` (pieces,) and the others."""
@@ -427,6 +492,53 @@ class Pieces:
         ends, outward, cosine, own, other = _folds(self.surface.triangles, self._corners, face)
         folded = cosine < np.cos(np.radians(crease_deg))
         return np.asarray(ends[(outward > 0.0) & folded & (own < other)])
+
+    @staticmethod
+    def rises(surface: Surface, crease_deg: float) -> Floats | None:
+        """Return (m, 3) how the bent triangles rise over their edges 01, 12, 20, mm, outwards
+        positive; None if all are flat.
+
+        Notes
+        -----
+        Over the barycentric coordinates b of a triangle its height is c01 b0 b1 + c12 b1 b2 + c20
+        b2 b0, of an edge e between corners with normals n0 and n1 c = e . (n1 - n0) / 2: over the
+        chord of a circle the sagitta c / 4 = e^2 / (8 R). Normals at corners weigh the faces as N.
+        Max does (1999, J. Graphics Tools 4(2), 1), which is exact on a sphere and on strips of a
+        cylinder. Edges sharper than ``crease_deg`` divide faces. Faces that are flat, as the top of
+        a pad between its fillets, stay so: they are wider than their neighbours, and turn less
+        against them.
+        """
+        corners = surface.vertices[surface.triangles]
+        face, across = _face_normals(corners), _neighbours(surface.triangles)
+        cosine = np.einsum("mi,msi->ms", face, face[across])
+        smooth = cosine > np.cos(np.radians(crease_deg))
+        turned = np.where(smooth, np.arccos(np.clip(cosine, -1.0, 1.0)), 0.0)
+        turned[turned < _COPLANAR] = 0.0
+        if not turned.any():
+            return None
+        sides = np.roll(corners, -1, axis=1) - corners
+        length = np.linalg.norm(sides, axis=2)
+        area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2.0
+        everything = np.ones(len(face), bool)
+        plane = Pieces.smooth_parts(surface, everything, math.degrees(_COPLANAR))
+        flat = _flat_faces(plane, across, length, area, turned)[plane]
+        several = np.bincount(plane)[plane] > 1
+        whole = np.where(several, np.bincount(plane, area)[plane], 0.0)
+        sheet = Pieces.smooth_parts(surface, everything, crease_deg)
+        normal = _corner_normals(surface.triangles, sheet, sides, face, whole)
+        rise = np.einsum("mki,mki->mk", sides, np.roll(normal, -1, axis=1) - normal) / 2.0
+        # An edge rises at most by what turns against neighbours of about its own length allow.
+        narrower = 2.0 * np.minimum(area[:, None], area[across]) / length
+        away = np.cross(sides, face[:, None]) / length[:, :, None]
+        over = np.abs(np.einsum("mei,mki->mek", sides, away))
+        room = narrower[:, None]
+        chord = np.where(over < _LONGER * room, np.minimum(over, room) ** 2 / room, 0.0)
+        most = _MOST_RISE * np.einsum("mek,mk->me", chord, turned)
+        beyond = np.argmax(across[across] == np.arange(len(face))[:, None, None], axis=2)
+        most = np.where(smooth, np.maximum(most, most[across, beyond]), most)
+        rise = np.clip(rise, -most, most)
+        rise[flat] = 0.0
+        return frozen(rise) if rise.any() else None
 
     @staticmethod
     def smooth_parts(surface: Surface, chosen: Bools, crease_deg: float) -> Ints:
@@ -460,6 +572,61 @@ class Pieces:
         return np.where(outward <= 0.0, 180.0 - turned, 180.0 + turned), ends
 
 
+def _heights(corners: Floats, rises: Floats, foot: Points) -> tuple[Floats, Floats]:
+    """Return the heights (n,) of bent triangles over places (n, 3) of flat ones (n, 3, 3), and
+    their slopes (n, 3)."""
+    sides = np.roll(corners, -1, axis=1) - corners
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    # Corner k faces the side from k + 1 to k + 2, along whose normal its coordinate grows.
+    grows = np.cross(normal[:, None], np.roll(sides, -1, axis=1))
+    grows /= np.einsum("ni,ni->n", normal, normal)[:, None, None]
+    share = np.einsum("nki,nki->nk", grows, foot[:, None] - np.roll(corners, -1, axis=1))
+    after = np.roll(share, -1, axis=1)
+    slope = share[:, :, None] * np.roll(grows, -1, axis=1) + after[:, :, None] * grows
+    height = np.einsum("nk,nk->n", rises, share * after)
+    return height, np.einsum("nk,nki->ni", rises, slope)
+
+
+def _flat_faces(plane: Ints, across: Ints, length: Floats, area: Floats, turned: Floats) -> Bools:
+    """Return which of the ``plane`` faces, those of triangles (m,), are no chords of a curve."""
+    other = plane[across]
+    border = other != plane[:, None]
+    count = int(plane.max()) + 1
+
+    def total(each: Floats) -> Floats:
+        return np.asarray(np.bincount(np.repeat(plane, 3), each.ravel(), count), float)
+
+    wide = 2.0 * np.bincount(plane, area, count) / total(np.where(border, length, 0.0))
+    joined = np.where(turned > 0.0, length, 0.0)
+    all_joined = np.maximum(total(joined), 1e-300)
+    turns = total(joined * turned) / all_joined
+    wide_across = total(joined * wide[other]) / all_joined
+    turns_across = total(joined * turns[other]) / all_joined
+    several = np.bincount(plane) > 1
+    return several & (wide * turns_across > _FLATTER * wide_across * turns)
+
+
+def _corner_normals(
+    triangles: Ints, sheet: Ints, sides: Floats, face: Floats, whole: Floats
+) -> Floats:
+    """Return (m, 3, 3) normals at the corners of triangles, each of its own smooth ``sheet`` (m,);
+    those of plane faces much larger than others, ``whole`` (m,) being their areas, where such
+    meet."""
+    vertices = int(triangles.max()) + 1
+    _, corner = np.unique(triangles + vertices * sheet[:, None], return_inverse=True)
+    corner = corner.reshape(-1, 3)
+    squared = np.einsum("mki,mki->mk", sides, sides)
+    double = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    weight = double[:, None] / (squared * np.roll(squared, 1, axis=1))
+    largest = np.zeros(int(corner.max()) + 1)
+    np.maximum.at(largest, corner, whole[:, None])
+    weight[_LARGER * np.maximum(whole, double / 2.0)[:, None] < largest[corner]] = 0.0
+    normal = np.zeros((len(largest), 3))
+    np.add.at(normal, corner, weight[:, :, None] * face[:, None])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray(normal[corner])
+
+
 def _face_normals(corners: Floats) -> Floats:
     """Return (m, 3) unit outward normals of triangles (m, 3, 3)."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -469,8 +636,11 @@ def _face_normals(corners: Floats) -> Floats:
 def _neighbours(triangles: Ints) -> Ints:
     """Return (m, 3) the triangle across each edge 01, 12, 20 of a closed surface."""
     sides = Surface.directed_edges(triangles)
-    number = {(int(a), int(b)): k // 3 for k, (a, b) in enumerate(sides)}
-    return np.array([number[(int(b), int(a))] for a, b in sides], np.int64).reshape(-1, 3)
+    count = int(triangles.max()) + 1
+    key = sides[:, 0] * count + sides[:, 1]
+    order = np.argsort(key)
+    opposite = order[np.searchsorted(key, sides[:, 1] * count + sides[:, 0], sorter=order)]
+    return np.asarray(opposite.reshape(-1, 3) // 3)
 
 
 def _folds(

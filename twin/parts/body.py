@@ -417,7 +417,7 @@ class Solid(StlFile, Body):
                 "smooth it"
             )
         z = self.surface_from_above(np.zeros((1, 2)))[0, 2]
-        if not abs(z) <= _ORIGIN_MM:
+        if not abs(z) <= _ORIGIN_MM + 2.0 * self.chord_mm:
             seen = "not met there" if np.isnan(z) else f"met at z = {z:.6g} mm"
             raise ValueError(
                 f"origin_mm = {_as_text(self.origin_mm)} mm: the sensing surface must be met there "
@@ -476,7 +476,7 @@ class Solid(StlFile, Body):
         free = Pieces.smooth_parts(self._surface, ~held & ~sensing, CREASE_DEG)
         fixed = Pieces.smooth_parts(self._surface, held, CREASE_DEG)
         number = np.where(held, int(free.max()) + 2 + fixed, 1 + free)
-        return Pieces(self._surface, np.where(sensing, 0, number))
+        return Pieces(self._surface, np.where(sensing, 0, number), self._rises)
 
     @cached_property
     def _sheets(self) -> Pieces:
@@ -484,7 +484,15 @@ class Solid(StlFile, Body):
         from twin.geometry.pieces import Pieces
 
         everything = np.ones(len(self._surface.triangles), bool)
-        return Pieces(self._surface, Pieces.smooth_parts(self._surface, everything, CREASE_DEG))
+        parts = Pieces.smooth_parts(self._surface, everything, CREASE_DEG)
+        return Pieces(self._surface, parts, self._rises)
+
+    @cached_property
+    def _rises(self) -> Floats | None:
+        """(m, 3) how far triangles of curved faces are bent over their edges; None for none."""
+        from twin.geometry.pieces import Pieces
+
+        return Pieces.rises(self._surface, CREASE_DEG)
 
     @cached_property
     def _pieces_of_sheets(self) -> Bools:
@@ -582,7 +590,8 @@ class Solid(StlFile, Body):
         kept = self.model_dump(include={"shape", "sha256", "origin_mm"})
         regions = self.model_dump(include={"held", "sensing"}, exclude_defaults=True)
         hidden = int(self._hidden.sum())
-        return kept | regions | ({"hidden": hidden} if hidden else {})
+        bent = {} if self._rises is None else {"bent": True}
+        return kept | regions | ({"hidden": hidden} if hidden else {}) | bent
 
     def piece_distances(self, points: Points) -> Floats:
         return self._pieces.distances_and_normals(points)[0]
@@ -619,9 +628,18 @@ class Solid(StlFile, Body):
         low, high = self._surface.vertices.min(axis=0), self._surface.vertices.max(axis=0)
         return tuple(low.tolist()), tuple(high.tolist())
 
-    @property
+    @cached_property
     def volume_mm3(self) -> float:
-        return self._surface.volume_mm3
+        volume = self._surface.volume_mm3
+        if self._rises is not None:  # the mean of a product of two coordinates is a twelfth
+            a, b, c = self._corners.transpose(1, 0, 2)
+            areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+            volume += float(areas @ self._rises.sum(axis=1) / 12.0)
+        return volume
+
+    @cached_property
+    def chord_mm(self) -> float:
+        return 0.0 if self._rises is None else float(np.abs(self._rises).max() / 4.0)
 
 
 def _as_text(place: Any) -> str:

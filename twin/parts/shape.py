@@ -171,6 +171,11 @@ class Body(Part):
         return None
 
     @property
+    def chord_mm(self) -> float:
+        """How far given triangles lie off the curved faces that they stand for, mm, at most."""
+        return 0.0
+
+    @property
     def own_rim(self) -> Floats | None:
         """Ends (e, 2, 3) of edges of singular stress, of given triangles: held meets free, or a
         fold inwards."""

@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats, Picture
+from twin.arrays import Floats, Picture, coordinates
 from twin.errors import InputError, MissingCapability, RecipeError
 from twin.files import MESHES, SCENES, Fact, cache_folder, fact, read_arrays
+from twin.parts.body import CREASE_DEG, Body
 from twin.parts.part import Part
 from twin.parts.scene import Scene
 from twin.study.doubts import doubts
@@ -106,9 +107,38 @@ def _check_recipe(name: str, overrides: Mapping[str, Any] | None) -> list[Fact]:
         fact(str(file), "ok", mark=": "),
         *(fact("warning", doubt, mark=": ") for doubt in warnings),
     ]
+    facts += _chords(scene.body)
     if bare := ", ".join(_unsourced(scene)):
         facts.append(fact("numbers without source or assumed", bare, mark=": "))
     return facts
+
+
+_BLUNT_DEG = 40.0
+"""Edges from `CREASE_DEG` up to this angle may be chords of a curved face, too."""
+
+
+def _chords(body: Body) -> list[Fact]:
+    """Return how far an STL body's triangles lie off its curved faces, and which edges may be
+    chords."""
+    found = []
+    if body.chord_mm:
+        text = "triangles lie up to {chord_mm:.2g} mm off them, and are bent to fit"
+        found.append(fact("curved faces", text, {"chord_mm": body.chord_mm}, ": "))
+    if body.own_surface is not None:
+        from twin.geometry.pieces import Pieces
+
+        angles, ends = Pieces.edge_angles(*body.own_surface)
+        turned = np.abs(180.0 - angles)
+        blunt = ends[(turned >= CREASE_DEG) & (turned < _BLUNT_DEG)].mean(axis=1)
+        if len(blunt):
+            text = (
+                "edges of {crease_deg:g} to {blunt_deg:g} deg, as at ({place}) mm, count as sharp; "
+                "where they are chords of a curved face, export it finer"
+            )
+            limits = {"crease_deg": CREASE_DEG, "blunt_deg": _BLUNT_DEG}
+            place = coordinates(blunt[0])
+            found.append(fact("warning", text, {**limits, "place": place}, ": "))
+    return found
 
 
 def _check_dataset(scene: Scene) -> list[str]:

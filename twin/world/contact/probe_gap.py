@@ -678,6 +678,9 @@ _ACROSS = 25
 _STEPS = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, _ACROSS)]), axis=-1).reshape(-1, 2)
 _ON_SURFACE_MM = 1e-3
 
+_BENT_STEPS, _STEEP = 5, 0.1
+"""Steps from a triangle to the curved face behind it, and the least slope against a line."""
+
 
 def _first_touch(
     meets: Callable[[Floats], tuple[Floats, Bools]],
@@ -753,6 +756,12 @@ def _surface_intersection(
             distance = np.where(triangle >= 0, distance, np.nan)
         met = np.isfinite(distance)
         foot = points + np.where(met, distance, 0.0)[:, None] * direction
+        # from triangles to the curved face that they stand for
+        for _ in range(_BENT_STEPS if body.chord_mm else 0):
+            depth = body.depth(foot)
+            steep = np.maximum(body.piece_normals(foot)[:, 0] @ direction, _STEEP)
+            step = np.where(met & (np.abs(depth) < 2.0 * body.chord_mm), -depth / steep, 0.0)
+            distance, foot = distance + step, foot + step[:, None] * direction
         return distance, met & (np.abs(body.depth(foot)) < 1e-6) & body.contains(foot, -1e-6)
 
     return anywhere
