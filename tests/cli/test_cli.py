@@ -41,6 +41,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         ("view kamiyama_pillar --out FILE/x.html", "FILE: the output folder can't be made"),
         ("run block_bare --out FILE", "output folder can't be made"),
         ("run block_bare --out slide.h5", "slide.h5: the output is a folder, and .h5 a file's ending"),
+        ("run gelpad_slide --film --out slide.mp4", "slide.mp4: the output is a folder, and .mp4 a file's ending"),
         ("view PICTURE", "twin view the folder of a run or of a dataset"),
         ("mesh sato_press --mend", "See: twin mesh --help"),
         ("run kamiyama_pillar more", "what is 'more'? The command takes no more"),

@@ -369,6 +369,7 @@ class _Filming:
         from twin.study.frames import VideoWriter
 
         folder, groups = self.folder, self.scene.imaging[1].lit
+        make_folder(folder)
         make_folder(self.pictures)
         rests = folder / "rest"
         self.rows = _kept(folder, self.scene, self._row_of)[: self.count]

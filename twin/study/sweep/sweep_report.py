@@ -57,7 +57,7 @@ def _assumed(part: Any, origin: str) -> Any:
 
 FIGURES = {
     "two_point_mm": ("two points (mm)", "least distance at which two pushes show as two peaks"),
-    "fwhm_mm": ("width (mm)", "of the field of the push in the middle, at half its height"),
+    "fwhm_mm": ("push's width (mm)", "of the field of the push in the middle, at half its height"),
     "total_force_error": ("force error (%)", "of the total force, root mean square"),
     "resolution_gf": (
         "force noise (gf)",
@@ -110,8 +110,9 @@ def _axis_name(key: str) -> str:
     words = (last.removesuffix(f"_{last.rsplit('_', 1)[-1]}") if unit else last).replace("_", " ")
     if tables[:1] == ["markers"] and len(tables) == 2:
         words += " of all layers" if tables[1] == "*" else f" of {tables[1]}"
-    elif tables and tables[-1] not in ("material", "camera"):
-        words = f"{tables[-1]} {words}"
+    elif tables and tables[-1] != "material":
+        words = f"{tables[-1].replace('camera', 'picture')} {words}"
+    words = words.replace("picture focal", "focal length").replace("youngs", "Young's")
     return f"{words} ({unit})" if unit else words
 
 
