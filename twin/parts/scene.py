@@ -540,10 +540,11 @@ class Scene(Part):
             )
         deepest = max((layer.depth_mm for layer in self.markers.values()), default=0.0)
         most = room.most_of_thickness_mm(self.body.thickness_mm, deepest)
-        if room.thickness_mm > most:
+        if room.thickness_mm > most and deepest <= self.body.thickness_mm:
             raise ValueError(
                 f"tolerance.thickness_mm = {room.thickness_mm:g} mm: {CUT:g} times that leaves no "
-                f"room for the markers, or less than 1 mm; take at most {most:.3g} mm"
+                f"room for markers {deepest:g} mm deep, or less than 1 mm; take at most "
+                f"{most:.3g} mm, or place them less deep"
             )
 
 
