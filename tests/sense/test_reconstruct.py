@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.linalg
 from half_space_sensor import as_found, cell_compliance, disk, finger_sensor, flat_sensor, pressed, shifts
 from numpy.testing import assert_allclose
 
@@ -16,7 +17,7 @@ from twin.parts.camera import Camera
 from twin.sense.inverse import METHODS
 from twin.sense.reconstruct import Bump, reconstruct
 from twin.sense.regularisation import Factors
-from twin.sense.transfer import from_compliance
+from twin.sense.transfer import from_compliance, from_presses
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
@@ -225,11 +226,28 @@ def test_markers_that_err_more_than_the_others_widen_what_rests_on_them():
     for _ in range(1500):
         data = random.normal(0, noise)
         found.append(rows @ factors.forces(data, 1e-9).ravel())
-        even = factors.noise_scale(data, 1e-9) ** 2 * np.diag(factors.covariance(1e-9, rows))
-        stated.append([even, even + factors.misfit_variance(data, 1e-9, rows)])
+        scale = factors.noise_scale(data, 1e-9)
+        even = scale**2 * np.diag(factors.covariance(1e-9, rows))
+        stated.append([even, even + factors.misfit_variance(data, 1e-9, rows, scale)])
     alike, own = np.mean(stated, axis=0) / np.var(found, axis=0)
     assert alike[0] < 0.6
     assert own[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_residuals_far_above_the_noise_are_not_taken_for_noise_of_all_markers():
+    """The half of the markers nearest to a load err ten times as much as tracked: as noise of all, three times the
+    error of the push was stated."""
+    markers, seen, calibration = FLAT
+    clean = shifts(markers, seen, *disk((1.0, -0.5), 3.0, (0.2, 0.1, 1.5)))
+    away = np.hypot(markers[:, 0] - 1.0, markers[:, 1] + 0.5)
+    noise, score = np.where(away < np.median(away), 0.1, 0.01)[:, None], []
+    for seed in range(12):
+        shift = clean + np.random.default_rng(seed).normal(0, 1, clean.shape) * noise
+        field = reconstruct(as_found(shift, calibration, 0.01), calibration)
+        score.append((field.total_force_n - (0.2, 0.1, 1.5)) / field.sd_total_n)
+    off = np.sqrt(np.mean(np.square(score), axis=0))
+    assert (off > 0.6).all()
+    assert (off < 1.6).all()
 
 
 @pytest.mark.parametrize(("least", "weights"), [(1e-3, (1e-6, 0.1)), (1e-12, (1e-9,))])
@@ -336,6 +354,42 @@ def test_what_an_unsure_thickness_makes_of_totals_is_stated():
     by_mesh = read(shift, dataclasses.replace(calibration, provenance='{"mesh_error": 0.1}'))
     size = np.linalg.norm(sure.total_force_n)
     assert by_mesh.sd_total_n == pytest.approx(np.hypot(sure.sd_total_n, 0.1 * size))
+    variance = sure.sd_total_n**2
+    for layer in ("red", "blue"):  # their depths err each on its own
+        own = (calibration.layer == layer)[:, None]
+        lacking = np.where(own, (change @ field.force_n.ravel()).reshape(-1, 2), 0.0)
+        variance = variance + read(lacking, calibration).total_force_n ** 2
+    by_depth = read(shift, dataclasses.replace(calibration, by_depth=change))
+    assert by_depth.sd_total_n == pytest.approx(np.sqrt(variance), rel=1e-4)
+
+
+def test_what_an_unsure_depth_makes_of_the_transfer_is_known():
+    """As of a scene whose layers lie one standard deviation nearer to the surface; nothing of an exact one."""
+    made = calibration_of(Sensor(load_scene("gelpad_press")))
+    nearer = calibration_of(Sensor(load_scene("gelpad_press", {"markers.dots.depth_mm": 0.47}))).transfer
+    assert_allclose(made.by_depth, made.transfer - nearer, rtol=1e-4, atol=1e-4 * np.abs(made.by_depth).max())
+    exact = calibration_of(Sensor(load_scene("gelpad_press", {"tolerance.preset": "none"})))
+    assert exact.by_depth.size == 0
+
+
+def test_what_the_load_cell_of_a_calibration_makes_of_totals_is_stated():
+    """Calibrated again and again by presses whose forces are read wrongly, totals scatter as is stated."""
+    _, _, calibration = FINGER
+    random, cell = np.random.default_rng(6), 0.02
+    straight = np.array([[0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [1.0, 1.0, 1.0]])  # press by press: columns
+    forces = np.tile(straight, (25, 1, 1))
+    shift = np.einsum("rkm,kmn->knr", calibration.transfer.reshape(-1, 25, 3), forces)
+    seen = (calibration.transfer @ np.outer(np.hanning(27)[1:-1], [0.1, 0.0, 0.3]).ravel()).reshape(-1, 2)
+    by_cell = cell * scipy.linalg.block_diag(*np.linalg.inv(forces))
+
+    def read(forces):
+        transfer = from_presses(forces, shift)
+        made = dataclasses.replace(calibration, transfer=transfer, by_load_cell=by_cell)
+        return reconstruct(as_found(seen, made, 1e-4), made, "norm", 1e-6)
+
+    fields = [read(forces + random.normal(0, cell, forces.shape)) for _ in range(60)]
+    scatter = np.std([field.total_force_n for field in fields], axis=0)
+    assert_allclose(scatter, np.mean([field.sd_total_n for field in fields], axis=0), rtol=0.25)
 
 
 def test_what_an_unsure_camera_makes_of_totals_is_stated():

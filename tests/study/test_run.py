@@ -171,6 +171,16 @@ def test_shipped_calibrations_are_of_the_scenes_that_name_them(name: str, monkey
         assert json.loads(str(kept["provenance"])) == found.facts
 
 
+def test_the_shipped_calibration_knows_its_load_cell() -> None:
+    """A push such as the first press of the middle place is as far off as that press's reading, along any axis."""
+    scene = twin.load_scene("sato_press")
+    found = calibration_of(twin.Sensor(scene))
+    push = np.zeros((len(found.site_mm), 3))
+    push[len(push) // 2, 2] = scene.calibration.press_force_n
+    stated = np.linalg.norm(found.by_load_cell @ push.ravel())
+    assert stated == pytest.approx(scene.calibration.load_cell_n, rel=0.1)
+
+
 def test_a_stored_calibration_is_of_the_accuracy_that_is_asked_for() -> None:
     """Two recipes of different accuracy shared one."""
     one_place = {"columns": 1, "rows": 1, "pitch_mm": 1.0}

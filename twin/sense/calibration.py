@@ -22,8 +22,8 @@ from twin.parts.camera import Camera
 from twin.theory.optics import project, project_with_jacobian
 from twin.theory.relaxation import Relaxation
 
-VERSION = 3
-READABLE = (1, 2, 3)
+VERSION = 4
+READABLE = (1, 2, 3, 4)
 """Format version that is written, and those that are read."""
 
 SINCE = {
@@ -33,6 +33,8 @@ SINCE = {
     "condition": 2,
     "left_out": 2,
     "by_thickness": 3,
+    "by_depth": 4,
+    "by_load_cell": 4,
 }
 """Format version from which on files have these; all others are in each."""
 
@@ -75,6 +77,13 @@ class Calibration:
     by_thickness
         (2n, 3k) px/N, how much `transfer` changes by one standard deviation of the body's
         thickness, or from a half-space to the drawn body; (0, 0) where that isn't known.
+    by_depth
+        (2n, 3k) px/N, how much it changes by one standard deviation of the depths of the markers'
+        layers, which err each on its own; (0, 0) where that isn't known.
+    by_load_cell
+        (3p, 3k) N/N, from forces at the sites to what each of p times three calibration presses
+        adds to every component of their total by the load cell's standard deviation; (0, 0) where
+        that isn't known.
     compliance
         (3n, 3k) mm/N, marker motion per site force, where the camera's bend is to be followed; else
         (0, 0).
@@ -110,6 +119,8 @@ class Calibration:
     method: str = "compliance"
     provenance: str = "{}"
     by_thickness: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    by_depth: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    by_load_cell: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     compliance: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     marker_mm: Points = field(default_factory=lambda: np.zeros((0, 3)))
     camera: str = "{}"
@@ -127,10 +138,13 @@ class Calibration:
             "transfer": (2 * markers, 3 * sites),
             "left_out": (np.size(self.left_out),),
             "by_thickness": (2 * markers, 3 * sites) if np.size(self.by_thickness) else (0, 0),
+            "by_depth": (2 * markers, 3 * sites) if np.size(self.by_depth) else (0, 0),
+            "by_load_cell": (len(self.by_load_cell), 3 * sites * bool(len(self.by_load_cell))),
             "compliance": (3 * markers, 3 * sites) if np.size(self.compliance) else (0, 0),
             "marker_mm": (markers, 3) if np.size(self.compliance) else (0, 3),
         }
-        kinds = {"layer": np.str_, "compliance": np.float32, "by_thickness": np.float32}
+        single = ("compliance", "by_thickness", "by_depth", "by_load_cell")
+        kinds: dict[str, Any] = {"layer": np.str_} | dict.fromkeys(single, np.float32)
         for name, shape in shapes.items():
             array: NDArray[Any] = np.array(getattr(self, name), kinds.get(name, np.float64))
             if array.shape != shape:
@@ -212,7 +226,7 @@ class Calibration:
     def scale_error(self) -> float:
         """Standard deviation of a factor that all forces share, from 0: of the modulus and the
         focal length within their tolerances, or as fitted to presses; 0 if that isn't known. The
-        thickness: `by_thickness`.
+        thickness: `by_thickness`; the depths: `by_depth`.
 
         It stands in `provenance`, as ``scale_error``.
         """

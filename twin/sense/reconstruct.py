@@ -53,6 +53,12 @@ from twin.sense.regularisation import RULES, Factors
 from twin.sense.track import Found
 from twin.theory.relaxation import Hereditary, Relaxation
 
+MOST_EVEN = 2.0
+"""Noise of the fit over the stated one, up to which it is taken for noise that all markers share.
+Residuals beyond it are the model's error, and what they make of totals is found marker by marker:
+on a dome they are 10 to 13 times the noise, but those of markers that tell the totals are not. A
+weight that is given may be too large, so that all of the residual is taken for noise there."""
+
 DECADE = 0.1
 """Under constraints an automatic weight is rounded to this in its logarithm, so that what was
 solved serves again."""
@@ -79,11 +85,12 @@ class Field(Table):
         (k, 3) standard deviation of the linear estimate's forces, given the prior, N.
     sd_total_n, sd_torque_nmm
         (3,) standard deviations of the totals, N and N mm: by the noise, by what the calibration
-        leaves open (`Calibration.scale_error`, `Calibration.by_thickness`,
-        `Calibration.by_camera`, `Calibration.mesh_error`; recorded places leave nothing), and by
-        `Found.gain_error` and `Found.drift_px`. By ``local`` also by where forces are expected, and
-        by the misfit of markers next to them (`Factors.misfit_variance`); under bounds also by how
-        far the bounded forces' totals lie from these.
+        leaves open (`Calibration.scale_error`, `Calibration.by_thickness`, `Calibration.by_depth`,
+        `Calibration.by_camera`, `Calibration.by_load_cell`, `Calibration.mesh_error`; recorded
+        places leave nothing), and by `Found.gain_error` and `Found.drift_px`. By ``local`` also by
+        where forces are expected, and by the misfit of markers next to them
+        (`Factors.misfit_variance`), as where residuals are far above the noise; under bounds also
+        by how far the bounded forces' totals lie from these.
     used
         (n,) which markers took part.
     wrong
@@ -236,9 +243,10 @@ def reconstruct(
         sd_force, moved = linear.sd_force_n, np.zeros(3)
     problem, force = linear.problem, linear.force_n
     factors, rows = problem.factors, calibration.total_rows
-    variance = linear.scale**2 * np.diag(factors.covariance(linear.weight, rows))
-    if METHODS[method].local:
-        variance = variance + factors.misfit_variance(linear.data, linear.weight, rows)
+    even = min(linear.scale, MOST_EVEN) if isinstance(weight, str) else linear.scale
+    variance = even**2 * np.diag(factors.covariance(linear.weight, rows))
+    if METHODS[method].local or even < linear.scale:
+        variance = variance + factors.misfit_variance(linear.data, linear.weight, rows, even)
     sd_total = np.sqrt(variance)
     totals = rows @ force.ravel()
     sd_total[:3] = np.hypot(sd_total[:3], moved)
@@ -459,14 +467,18 @@ class _Linear:
     @property
     def totals_left_open(self) -> Floats:
         """(6,) standard deviations of totals, N and N mm: by the forces for which shifts are taken
-        that the transfer matrix lacks by `Calibration.by_thickness` and `Calibration.by_camera`,
-        and by `Calibration.mesh_error`."""
+        that the transfer matrix lacks by `Calibration.by_thickness`, `Calibration.by_depth` and
+        `Calibration.by_camera`, by `Calibration.by_load_cell`, and by `Calibration.mesh_error`."""
         problem, known = self.problem, self.problem.calibration
         force = self.force_n
         single = force.ravel().astype(np.float32)
         lacking: list[Floats] = []
         if known.by_thickness.size:
             lacking.append((known.by_thickness @ single).reshape(-1, 2).astype(np.float64))
+        if known.by_depth.size:
+            deeper = (known.by_depth @ single).reshape(-1, 2).astype(np.float64)
+            for name in known.layout:
+                lacking.append(np.where((known.layer == name)[:, None], deeper, 0.0))
         if len(known.by_camera):
             motion = (known.compliance @ single).reshape(-1, 3, 1)
             lacking.extend((known.by_camera @ motion)[..., 0])
@@ -478,8 +490,10 @@ class _Linear:
         share = np.linalg.norm(force, axis=1, keepdims=True)
         centre = (share * known.site_mm).sum(axis=0) / max(float(share.sum()), np.finfo(float).tiny)
         levers = [np.ones(3), np.hypot(centre[[1, 2, 0]], centre[[2, 0, 1]])]
-        by_mesh = known.mesh_error * size * np.concatenate(levers)
-        return np.asarray(np.sqrt((taken**2).sum(axis=0) + by_mesh**2))
+        axis = known.mesh_error * size
+        if known.by_load_cell.size:
+            axis = np.hypot(axis, np.linalg.norm(known.by_load_cell @ single))
+        return np.asarray(np.sqrt((taken**2).sum(axis=0) + (axis * np.concatenate(levers)) ** 2))
 
     @property
     def sd_force_n(self) -> Floats:

@@ -307,20 +307,25 @@ class Factors:
         widened = response @ rows.T
         return np.asarray(usual + widened.T @ more @ widened)
 
-    def misfit_variance(self, data: Floats, weight: float, rows: Floats) -> Floats:
+    def misfit_variance(self, data: Floats, weight: float, rows: Floats, even: float) -> Floats:
         """Return the (q,) variance of ``rows`` (q, 3k) times the forces that markers' residuals
-        show beyond even noise: the model errs next to a load.
+        show beyond noise that is ``even`` times the stated one: the model errs next to a load.
 
         The covariance HC2 of J. G. MacKinnon and H. White (J. Econometrics 29 (1985) 305), a marker
         at a time: a residual over the root of its share of freedom, times what it moves.
         """
-        left = self.left.reshape(-1, 2, len(self.singular))
-        freedom, axes = np.linalg.eigh(np.eye(2) - (left * self._keep(weight)) @ left.mT)
-        residual = (self.share * (data - self.predicted(data, weight))).reshape(-1, 2, 1)
+        root = np.sqrt(self.share)
+        seen = root[:, None] * self.left * self.singular
+        count = len(self.singular)
+        stiffness = seen.T @ seen + weight * np.eye(count)
+        inverse = np.linalg.solve(stiffness, seen.T) if weight > 0 else np.linalg.pinv(seen)
+        fitted = seen.reshape(-1, 2, count) @ inverse.reshape(count, -1, 2).transpose(1, 0, 2)
+        freedom, axes = np.linalg.eigh(np.eye(2) - fitted)
+        residual = (root * (data - self.predicted(data, weight))).reshape(-1, 2, 1)
         error = axes @ (axes.mT @ residual / np.sqrt(np.maximum(freedom, ROUND_OFF))[:, :, None])
-        moves = (rows @ self.back * self._filtered(weight)) @ left.mT
+        moves = (rows @ self.back @ inverse).reshape(len(rows), -1, 2).transpose(1, 0, 2)
         found = ((moves @ error)[:, :, 0] ** 2).sum(axis=0)
-        noise = self.noise_scale(data, weight) ** 2 * (moves**2).sum(axis=(0, 2))
+        noise = even**2 * (moves**2).sum(axis=(0, 2))
         return np.asarray(np.maximum(found - noise, 0.0))
 
     def site_variance(self, weight: float) -> Floats:

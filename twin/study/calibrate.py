@@ -268,13 +268,22 @@ def _by_linear_theory(scene: Scene) -> Scene:
 
 
 def _calibrate_by_design(sensor: Sensor) -> Calibration:
-    made = nominal_calibration(sensor, _nominal_compliance(sensor, sensor.sites))
-    scene = sensor.nominal
-    more = scene.tolerance.thickness_mm if scene.tolerance.preset != "none" else 0.0
+    scene, markers, room = sensor.nominal, sensor.nominal_markers, sensor.nominal.tolerance
+    made_exactly, count = room.preset == "none", 3 * len(markers)
+    deeper = 0.0 if made_exactly else room.depth_mm
+    depths = [layer.depth_mm for layer in scene.markers.values()]
+    step = min(deeper, min(depths, default=0.0) / 2)
+    nearer = markers.points - step * markers.normals
+    points = np.concatenate([markers.points, nearer]) if step else markers.points
+    compliance = _nominal_compliance(sensor, points, sensor.sites)
+    made = nominal_calibration(sensor, compliance[:count])
+    if step:
+        change = made.transfer - _through_camera(sensor, nearer, compliance[count:])
+        made = replace(made, by_depth=(deeper / step * change).astype(np.float32))
+    more = 0.0 if made_exactly else room.thickness_mm
     if scene.calibration.method == "halfspace":
-        markers = sensor.nominal_markers.points
-        drawn = sensor.nominal_compliance.to_points(markers, sensor.sites)
-        other = _through_camera(sensor, drawn)
+        drawn = sensor.nominal_compliance.to_points(markers.points, sensor.sites)
+        other = _through_camera(sensor, markers.points, drawn)
     elif more:
         other = _nominal_transfer(Sensor(scene.thicker(more), sensor.progress), sensor.sites)
     else:
@@ -285,30 +294,31 @@ def _calibrate_by_design(sensor: Sensor) -> Calibration:
 def nominal_calibration(sensor: Sensor, compliance: Floats) -> Calibration:
     """Return the calibration by a (3n, 3k) nominal compliance, mm/N, through the nominal camera."""
     scene = sensor.nominal
-    made = _calibration(sensor, _through_camera(sensor, compliance), DESIGN_NOISE_PX)
+    points = sensor.nominal_markers.points
+    made = _calibration(sensor, _through_camera(sensor, points, compliance), DESIGN_NOISE_PX)
     seen: dict[str, Any] = {"compliance": compliance, "camera": made.camera_text(*scene.optics)}
-    return replace(made, marker_mm=sensor.nominal_markers.points, **seen)
+    return replace(made, marker_mm=points, **seen)
 
 
 def _nominal_transfer(sensor: Sensor, sites: Rectangles) -> Floats:
     """Return (2n, 3k) px/N: the nominal design's compliance through its camera."""
-    return _through_camera(sensor, _nominal_compliance(sensor, sites))
+    points = sensor.nominal_markers.points
+    return _through_camera(sensor, points, _nominal_compliance(sensor, points, sites))
 
 
-def _nominal_compliance(sensor: Sensor, sites: Rectangles) -> Floats:
-    """Return (3n, 3k) mm/N of the nominal design's markers."""
+def _nominal_compliance(sensor: Sensor, points: Points, sites: Rectangles) -> Floats:
+    """Return (3n, 3k) mm/N of (n, 3) points of the nominal design, mm."""
     scene = sensor.nominal
-    markers = sensor.nominal_markers.points
     if scene.calibration.method == "halfspace":
-        return half_space_compliance(scene, markers, sites)
-    return sensor.nominal_compliance.to_points(markers, sites)
+        return half_space_compliance(scene, points, sites)
+    return sensor.nominal_compliance.to_points(points, sites)
 
 
-def _through_camera(sensor: Sensor, compliance: Floats) -> Floats:
-    """Return (2n, 3k) px/N of a compliance in the nominal camera's picture."""
+def _through_camera(sensor: Sensor, points: Points, compliance: Floats) -> Floats:
+    """Return (2n, 3k) px/N of the compliance of (n, 3) points, mm, in the nominal camera."""
     from twin.sense.transfer import from_compliance
 
-    jacobian = project_with_jacobian(sensor.nominal_markers.points, *sensor.nominal.optics)[1]
+    jacobian = project_with_jacobian(points, *sensor.nominal.optics)[1]
     return from_compliance(compliance, jacobian)
 
 
@@ -427,6 +437,8 @@ def _measured_calibration(
     sensor: Sensor, places: Rectangles, grid: Sites, presses: Presses
 ) -> Calibration:
     """Return Sato's calibration: three presses at every place, the nominal design in between."""
+    from scipy.linalg import block_diag
+
     from twin.sense.transfer import fill_between, from_presses, left_out
 
     scene = sensor.nominal
@@ -435,12 +447,18 @@ def _measured_calibration(
     transfer = from_presses(forces, presses.shift_px.reshape(count, 3, -1))
     there = _nominal_transfer(sensor, places)
     errors = left_out(transfer, there, grid.chart())
+    # A force f c at a place, of its presses' forces f, is read as (f + e) c where the cell erred by
+    # e: any component is off by the cell's deviation times |c|.
+    by_cell = np.asarray(presses.load_cell_n * block_diag(*np.linalg.inv(forces)))
     sites = scene.inverse.sites.chart()
     if grid.chart().tolist() != sites.tolist():
         here = _nominal_transfer(sensor, sensor.sites)
         transfer = fill_between(transfer, there, here, grid.axes(), sites)
+        none = np.zeros((3 * count, 3 * len(sites)))
+        by_cell = fill_between(by_cell, np.zeros_like(by_cell), none, grid.axes(), sites)
     made = _calibration(sensor, transfer, presses.noise_px)
-    return _with_facts(replace(made, left_out=errors), presses, {})
+    made = replace(made, left_out=errors, by_load_cell=by_cell.astype(np.float32))
+    return _with_facts(made, presses, {})
 
 
 def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) -> Calibration:

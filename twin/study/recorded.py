@@ -147,7 +147,7 @@ def reconstruct_recording(
         relaxing = "how far the rubber has relaxed"
         if clock is not None:
             relaxing = "rubber that relaxes between frames"
-    summary = _Summary(known.scale_error, relaxing)
+    summary = _Summary(known, relaxing)
     try:
         with _LiveTable() as live:
             yield live.head
@@ -518,9 +518,15 @@ class _Summary:
     """What became of the frames and their markers, the causes of the force error, and the first
     trouble."""
 
-    def __init__(self, scale_error: float, relaxing: str) -> None:
-        factor = f"the calibration's factor ({100 * scale_error:.2g} %)" if scale_error > 0 else ""
-        others = [cause for cause in (factor, relaxing) if cause]
+    def __init__(self, known: Calibration, relaxing: str) -> None:
+        factor = f"the calibration's factor ({100 * known.scale_error:.2g} %)"
+        causes = {
+            factor: known.scale_error > 0,
+            "the layers' depths": known.by_depth.size > 0,
+            "the load cell of the calibration": known.by_load_cell.size > 0,
+            relaxing: bool(relaxing),
+        }
+        others = [cause for cause, stated in causes.items() if stated]
         self.causes = ", ".join(["of the markers' noise", *others]) + ("" if others else " alone")
         self.count, self.failed = 0, 0
         self._doubted = 0
