@@ -65,6 +65,11 @@ def test_the_noise_of_a_mosaic_video_or_compression_has_no_closed_form():
         assert View.noise_bound(load_scene(FLAT, {f"ccd.{key}": value for key, value in ccd.items()})) is None
 
 
+def test_dots_that_three_channels_show_have_the_information_of_three() -> None:
+    grey, one = (load_scene("gelpad_press", {"markers.dots.colour": c}) for c in ([0.03] * 3, [0.35, 0.03, 0.35]))
+    np.testing.assert_allclose(View.noise_bound(one)[0] / View.noise_bound(grey)[0], np.sqrt(3.0), rtol=1e-3)
+
+
 def test_check_warns(tmp_path, says):
     scene = tmp_path / "stiff.toml"
     scene.write_text(f'base = "{FLAT}"\n[material]\nyoungs_modulus_mpa = 150\n')
@@ -202,7 +207,7 @@ def bare() -> twin.Sensor:
         (lambda _: twin.Traction.twist((0, 0), 1, (0, 0, 1)), "torque_nmm one, got"),
         (lambda _: twin.Sphere(radius_mm=3), "radius_mm: unknown key; did you mean 'diameter_mm'"),
         (lambda _: twin.Sphere(3), "Sphere: 3: give every value by its name: kind, diameter_mm"),
-        (lambda _: twin.Sphere(diameter_mm=True), "diameter_mm = 'true' mm: must be a number"),
+        (lambda _: twin.Sphere(diameter_mm=True), "diameter_mm = 'true': must be a number in mm"),
         (lambda _: twin.track(PICTURE, PICTURE, list(LAYOUT)), "the layout must be a Mapping"),
         (lambda _: twin.track(PICTURE, PICTURE, LAYOUT, channels=3), "channels must be a Mapping"),
         (lambda _: twin.track(PICTURE, PICTURE, LAYOUT, diameter_px={"red": 3}), "diameter_px must be a Real"),

@@ -302,9 +302,11 @@ def _complaint(error: dict[str, Any], part: type[Part], known: Sequence[str]) ->
     key = ".".join(
         str(k) for k in error["loc"] if k != "constrained-float"
     )  # no key: a union's number
-    is_text = isinstance(error["input"], str)
-    unit = unit_of(str(error["loc"][-1])) if error["loc"] and not is_text else ""
+    unit = unit_of(str(error["loc"][-1])) if error["loc"] else ""
     message = in_words(error, part.model_fields.get(key))
+    if isinstance(error["input"], str) and unit:
+        message += f" in {unit}" if error["type"].startswith(("float", "int")) else ""
+        unit = ""
     if error["type"] == "extra_forbidden" and len(error["loc"]) == 1:
         message += f"; {did_you_mean(key, known, 'known are ' + ', '.join(known), 0.5)}"
     in_message = isinstance(error["input"], dict) or error["type"] in ("missing", "extra_forbidden")

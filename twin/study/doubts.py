@@ -110,18 +110,18 @@ def _shift_bound(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
     return np.asarray(np.sqrt(2.0) * bound)
 
 
-def _edge_noise(scene: Scene, layer: str) -> tuple[float, float]:
+def _edge_noise(scene: Scene, layer: str, channel: int | None = None) -> tuple[float, float]:
     """Return a layer's contrast (0 where everything is black) and the standard deviation of a
-    pixel half on the marker, counts."""
+    pixel half on the marker, counts; in the brightest channel of each, or in one."""
     ccd = scene.ccd.spelt_out()
-    marker = scene.markers[layer]
-    dark = max(scene.cover.albedo) if scene.cover is not None else 0.03
-    brightest = max(dark, *(max(each.colour) for each in scene.markers.values()))
+    colour = scene.markers[layer].colour
+    albedo = scene.cover.albedo if scene.cover is not None else (0.03, 0.03, 0.03)
+    brightest = max(*albedo, *(max(each.colour) for each in scene.markers.values()))
     if brightest == 0:
         return 0.0, 1.0
     white = min(ccd.white_dn * ccd.exposure, FULL_SCALE) / brightest
-    ground = white * dark
-    inside = white * max(marker.colour)
+    ground = white * (max(albedo) if channel is None else albedo[channel])
+    inside = white * (max(colour) if channel is None else colour[channel])
     contrast = max(abs(inside - ground), 1e-3 * white)
     if not ccd.noise:
         return contrast, 0.3
@@ -205,7 +205,11 @@ class View:
         bound = np.full(len(view.markers), np.nan)
         for name in scene.markers:
             rows = view.markers.layer == name
-            bound[rows] = _shift_bound(scene, name, np.nan_to_num(view.diameter_px[rows]))
+            # The information of the picture's channels adds up: their noise is independent.
+            ratios = [np.divide(*_edge_noise(scene, name, each)) for each in (None, 0, 1, 2)]
+            more = max(math.hypot(*ratios[1:]) / ratios[0], 1.0) if ratios[0] else 1.0
+            one_channel = _shift_bound(scene, name, np.nan_to_num(view.diameter_px[rows]))
+            bound[rows] = one_channel / more
         return np.where(np.isfinite(view.diameter_px), bound, np.nan)
 
 

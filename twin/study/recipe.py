@@ -493,8 +493,8 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
     if unit and error["type"].startswith(("greater_than", "less_than")):
         message = f"{message} {unit}"
     allowed = _range(keys, table, unit)
-    if isinstance(value, str) and unit and not allowed:
-        message += f" in {unit}"
+    if isinstance(value, str) and error["type"].startswith(("float", "int")) and not allowed:
+        message += f" in {unit}" if unit else ""
     return f"{dotted} = {shown}: {message}" + (f" (allowed: {allowed})" if allowed else "")
 
 
