@@ -385,19 +385,32 @@ def test_layers_in_a_grey_picture():
         assert np.nanmax(np.abs(found.rest_px - joined(layout))) < 0.1
 
 
-@pytest.mark.parametrize("radius", [2.5, 3.0, 4.0, 5.0])
-def test_sharp_dots_without_noise_are_all_found(radius):
-    """As one draws them by hand, without grey levels at the edge: motion by whole pixels is exact."""
-    layout, size = flat_layout(8, 6, 24.0, (24.0, 24.0)), (216, 168)
+@pytest.mark.parametrize(("shape", "radius"), [("disc", 2.5), ("disc", 5.0), ("square", 5.3), ("cross", 8.0)])
+def test_drawn_dots_without_grey_levels(shape, radius):
+    """Motion by whole pixels is exact, by parts of one as good as a centroid. By the fit half were refused as partly
+    hidden, and crosses were .4 px off."""
+    marks, size = flat_layout(8, 6, 25.3, (24.0, 24.0))["red"], (226, 176)
     x, y = np.meshgrid(*map(np.arange, size))
+    motion = (marks - marks.mean(axis=0)) * [0.03, -0.02] + [1.37, -0.81]
 
     def dots(shift):
-        away = [np.hypot(x - px - shift[0], y - py - shift[1]) for px, py in layout["red"]]
-        return np.where((np.min(away, axis=0) < radius)[:, :, None], (200, 30, 20), (20, 20, 20)).astype(np.uint8)
+        dx, dy = (np.abs(at[..., None] - to) for at, to in zip((x, y), (marks + shift).T, strict=True))
+        inside = {
+            "disc": np.hypot(dx, dy) < radius,
+            "square": np.fmax(dx, dy) < radius,
+            "cross": (np.fmax(dx, dy) < radius) & (np.fmin(dx, dy) < 0.35 * radius),
+        }[shape].any(axis=2)
+        return np.where(inside[..., None], (200, 30, 20), (20, 20, 20)).astype(np.uint8)
 
-    found = track(dots((0, 0)), dots((2, -1)), {"red": layout["red"]})
+    rest, layout = dots(0.0), {"red": marks}
+    np.testing.assert_allclose(
+        track(rest, dots((2, -1)), layout).shift_px, np.tile([2.0, -1.0], (len(marks), 1)), atol=1e-6
+    )
+    found = track(rest, dots(motion), layout)
+    error = found.shift_px - motion
     assert found.seen.all()
-    np.testing.assert_allclose(found.shift_px, np.full((len(layout["red"]), 2), (2.0, -1.0)), atol=1e-6)
+    assert np.sqrt(np.mean(error**2)) < (0.2 if shape == "disc" else 0.5)
+    assert 0.5 < np.sqrt(np.mean((error / found.sd_px[:, None]) ** 2)) < 2.0
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

@@ -97,6 +97,12 @@ SMOOTHER = 0.88
 """Brightness, or both (`LayerSignal.brightness`), replaces a layer's colour where third harmonics
 of edges at rest (`roughness_px`) are smaller by this factor."""
 
+SHARPEST_PX, ROUGH_SHARP_PX, SHARP_PX = 0.73, 0.03, 0.85
+"""Half width of a blur below which no edge is one of light on pixels: their own width blurs a
+disc's to .75 px at least (fitted, with noise; by a box .76). Drawn dots without grey levels, and
+sharp squares or crosses, end at the fit's limit of .7 px. Edges with a larger third harmonic are
+such dots' up to the last one; lenses leave 1.2 px and more."""
+
 LEAST_EDGE = 0.5
 """Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
 
@@ -203,11 +209,11 @@ class DiscFit(SoftWindow):
     @classmethod
     def at_rest(
         cls, picture: Picture, looks: list[Look], spacing_px: float, given: bool
-    ) -> Sequence[DiscFit]:
+    ) -> Sequence[SoftWindow]:
         spots = SoftWindow.at_rest(picture, looks, spacing_px, given)
         places = [spot.spot_px for spot in spots]
         marks = np.concatenate(places)
-        groups = []
+        groups: list[SoftWindow] = []
         for spot, signal in zip(
             spots, LayerSignal.of_layers(picture, looks, places, given), strict=True
         ):
@@ -217,6 +223,10 @@ class DiscFit(SoftWindow):
                 rival = cls._by(picture, spot, replace(signal, own=signal.brightness), marks)
                 if rival.roughness_px < SMOOTHER * group.roughness_px:
                     group = replace(rival, templates=replace(rival.templates, coherent=True))
+            blur = medians(group.templates.shape[:, 6])
+            if not blur > (SHARP_PX if group.roughness_px > ROUGH_SHARP_PX else SHARPEST_PX):
+                groups.append(spot.of_sharp(picture))
+                continue
             bare = BareGround.of(picture, group.templates, group.around.rest_px, marks)
             groups.append(replace(group, bare=bare))
         return groups

@@ -2,10 +2,15 @@
 
 Spots are matched to markers (`twin.sense.match`); markers without one get a state that names the
 reason.
+
+Edges that are sharper than light leaves them on pixels are drawn, not filmed, or are no ellipses'
+(squares, crosses): no soft edge shows a place between pixels. Such markers are measured by the
+plain centroid of all their light (`SoftWindow.sharp`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -27,8 +32,8 @@ from twin.sense.centre import (
     Look,
     Seen,
 )
-from twin.sense.colour import project
-from twin.sense.detect import Blobs
+from twin.sense.colour import Signal, project
+from twin.sense.detect import SD_FLOOR_PX, Blobs
 from twin.sense.match import GATE, Neighbourhood, spacing
 
 CROWDED = 0.08
@@ -44,6 +49,22 @@ those at .2, in half the light, every other one."""
 HIDDEN_AREA = 0.92
 """A crowded marker below this share of its area at rest counts as hidden."""
 
+FARTHEST = 1.65
+"""Over the radius of the disc of its area, how far a triangle reaches at most."""
+
+BETWEEN, CLEAR_SD, OF_LIGHT = (0.08, 0.4), 4.0, 4.8
+"""A pixel is between a marker and its ground if it is farther from either than these shares of the
+brightness at least and at most, by so many deviations of noise; and how many there are, over the
+radius and what is left of the range, where pixels gather light over their area: a disc's edge
+crosses eight times the radius, .6 of them evenly."""
+
+GATHERED = 0.047
+"""Standard deviation of a centroid, times the radius, where all of an edge lies alike on pixels
+that gather light: a pixel's share f of it has its middle f (1 - f) / 2 off the pixel's."""
+
+LOST = 1.5
+"""Standard deviations of sharp markers' light up to which one has less than others by chance."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SoftWindow(CentreEstimator):
@@ -57,12 +78,15 @@ class SoftWindow(CentreEstimator):
         (n, 2) centres of these spots, px.
     cut
         (n,) whether the picture's frame cuts the spot. This method leaves it out.
+    sharp
+        Whether markers are measured by the plain centroid of all their light.
     """
 
     level_dn: Floats
     area_px: Floats
     spot_px: Pixels
     cut: Bools
+    sharp: bool = False
 
     @classmethod
     def at_rest(
@@ -81,7 +105,12 @@ class SoftWindow(CentreEstimator):
         if (pair >= 0).any() and blobs.cut.any():
             drawn = Neighbourhood.of(look.nominal_px, spacing(look.nominal_px))
             pair = drawn.complete(blobs.centre_px, pair, blobs.cut)
-        found = pair >= 0
+        return cls._of_spots(look, pair)
+
+    @classmethod
+    def _of_spots(cls, look: Look, pair: Ints) -> SoftWindow:
+        """Return the markers that are the spots ``pair`` (n,), -1 for none."""
+        blobs, found = look.blobs, pair >= 0
         spot_px = np.full((len(pair), 2), np.nan)
         spot_px[found] = blobs.centre_px[pair[found]]
         cut = np.zeros(len(pair), np.bool_)
@@ -107,6 +136,21 @@ class SoftWindow(CentreEstimator):
             cut=cut,
         )
 
+    @property
+    def roughness_px(self) -> float:
+        return 0.0 if self.sharp else math.inf
+
+    def of_sharp(self, picture: Picture) -> SoftWindow:
+        """Return this for markers with sharp edges, measured again in the ``picture`` at rest."""
+        look, found = self.look, np.isfinite(self.spot_px[:, 0])
+        pair = np.full(len(found), -1)
+        if found.any():
+            pair[found] = cKDTree(look.blobs.centre_px).query(self.spot_px[found])[1]
+        signal = project(picture, look.weights, look.ground_dn + look.floor_dn)
+        signal -= np.float32(look.ground_dn)
+        plain = _plain_centroids(signal, look.blobs)
+        return replace(self._of_spots(replace(look, blobs=plain), pair), sharp=True)
+
     def measure(self, picture: Picture, start_px: Pixels | None) -> Seen:
         blobs, spot, state, spurious = self._search(picture, start_px)
         known = self.around.rest_px
@@ -120,6 +164,12 @@ class SoftWindow(CentreEstimator):
         shift[rows] = blobs.centre_px[spot] - known[rows]
         cut = np.where(crowded, CROWDED_SD_PX, 0.0)
         sd[rows] = np.hypot(np.hypot(blobs.sd_px[spot], cut), self.sd_px[rows])
+        if self.sharp and len(rows):  # a part that is hidden takes its light along
+            lost = 1.0 - blobs.area_px[spot] / self.area_px[rows]
+            lost -= np.median(lost)
+            lost -= LOST * 1.4826 * np.median(np.abs(lost))
+            most = FARTHEST / np.sqrt(2.0) * 0.5 * blobs.diameter_px[spot]
+            sd[rows] = np.hypot(sd[rows], most * np.fmax(lost, 0.0))
         return Seen(shift_px=shift, sd_px=sd, state=state, spurious_px=spurious)
 
     def _search(
@@ -131,6 +181,8 @@ class SoftWindow(CentreEstimator):
         signal = project(picture, look.weights, look.ground_dn + look.floor_dn)
         signal -= np.float32(look.ground_dn)
         blobs = Blobs.found_in(signal, look.diameter_px, look.contrast_dn, look.floor_dn)
+        if self.sharp:
+            blobs = _plain_centroids(signal, blobs)
         # From a cold start the whole lattice is followed, also where it goes on beyond the layout.
         here = self._whole_lattice if start_px is None and len(self._spare[1]) else self
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -232,3 +284,46 @@ class SoftWindow(CentreEstimator):
         return np.asarray(
             blobs.centre_px[free & blobs.whole & (area > AREA_RATIO[0]) & (level > LEVEL_RATIO[0])]
         )
+
+
+def _plain_centroids(signal: Signal, blobs: Blobs) -> Blobs:
+    """Return the spots with the centroids of all their light, how far these may be off, and the
+    light over its brightness for the area.
+
+    Where pixels gather no light over their area, an edge lies anywhere within a pixel: what is in a
+    row, or column, moves by whole pixels, which is 1/12 of variance for the outermost ones. Others
+    average out, as those of a slanting edge end at all parts of a pixel.
+    """
+    count, height, width = len(blobs), *signal.shape
+    centre, by_noise, by_steps = blobs.centre_px.copy(), np.zeros(count), np.zeros(count)
+    area = blobs.area_px.copy()
+    between = np.full(count, np.nan)
+    radius = 0.5 * blobs.diameter_px
+    for k in range(count):
+        reach = FARTHEST * radius[k] + 2.0
+        low = np.fmax(np.ceil(blobs.centre_px[k] - reach), 0.0).astype(int)
+        x, y = (
+            np.arange(low[axis], min(low[axis] + int(2 * reach) + 1, most)) - centre[k, axis]
+            for axis, most in enumerate((width, height))
+        )
+        light = signal[low[1] : low[1] + len(y), low[0] : low[0] + len(x)].astype(float)
+        far = y[:, None] ** 2 + x**2
+        near, rim = far < reach**2, (far < reach**2) & (far > (reach - 1.5) ** 2)
+        light = np.where(near, light - np.median(light[rim]), 0.0) / blobs.level_dn[k]
+        inside, mass = light > 0.5, light.sum()
+        if not inside.any() or mass <= 0.0:
+            continue
+        area[k] = mass
+        centre[k] += (light.sum(axis=0) @ x / mass, light.sum(axis=1) @ y / mass)
+        by_noise[k] = 0.5 * light[rim].var() * far[near].sum() / mass**2
+        for axis, place in enumerate((x, y)):
+            line = inside.sum(axis=axis)
+            ends = np.flatnonzero(line)[[0, -1]]
+            by_steps[k] += ((line[ends] * place[ends]) ** 2).sum() / 24.0 / mass**2
+        clear = np.clip(CLEAR_SD * light[rim].std(), *BETWEEN)
+        soft = np.count_nonzero(np.abs(light - 0.5) < 0.5 - clear)
+        between[k] = soft / (OF_LIGHT * radius[k] * (1.0 - 2.0 * clear))
+    usual = np.nanmedian(between[blobs.whole]) if blobs.whole.any() else 0.0
+    by_steps *= np.clip(1.0 - usual, 0.0, 1.0)
+    sd = np.sqrt(by_noise + by_steps + (GATHERED / radius) ** 2 + SD_FLOOR_PX**2)
+    return replace(blobs, centre_px=centre, sd_px=sd, area_px=area)

@@ -331,8 +331,8 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
     assert found.usual_sd_px is not None
     coherence = float(np.median(found.usual_sd_px[seen] / usual))
     fits = [group for group in rest.groups if isinstance(group, DiscFit)]
-    blur = max(float(np.nanmedian(fit.templates.blur_px)) for fit in fits)
-    width = min(fit.look.diameter_px for fit in fits)
+    blur = max((float(np.nanmedian(fit.templates.blur_px)) for fit in fits), default=0.0)
+    width = min(group.look.diameter_px for group in rest.groups)
     full = max(_saturated(one), _saturated(two))
     noise = float(np.std(one.astype(float) - two) / np.sqrt(2.0))  # of one picture, counts
     # Compare each with its limit.
