@@ -5,6 +5,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 from standard_bodies import DOME, write_stl
 from stl_shapes import (
@@ -22,7 +23,7 @@ from stl_shapes import (
 from twin.errors import InputError
 from twin.geometry.closed import Surface
 from twin.geometry.pieces import TriangleTree
-from twin.parts.body import Block
+from twin.parts.body import Block, Solid
 
 BOX = box(12, 10, 8)
 
@@ -314,6 +315,21 @@ def test_flat_faces_between_fillets_stay_flat_and_strips_straight(tmp_path):
     assert np.abs(solid.depth(flat)).max() < 1e-12
     side = np.column_stack([np.full(300, 12.0), along, 2 + np.abs(along) / 2])
     assert np.abs(solid.piece_distances(side).min(axis=1)).max() < 1e-6
+
+
+def test_between_chord_and_arc_a_flat_face_goes_on_in_a_body_with_a_dent_too(tmp_path):
+    """Points of the plane z = 6 there were taken for others far away, and nodes for none of any mesh that passes."""
+    profile = np.array([(0, 6), (9, 6), (9, 3), (4, 3), (4, 0), (0, 0)], float)[::-1]
+    stepped = trimesh.creation.revolve(profile, sections=24).triangles
+    file = str(write_stl(tmp_path / "stepped.stl", np.asarray(stepped)))
+    ends = [{"plane": {"point_mm": (0, 0, z), "normal": (0, 0, way)}} for z, way in ((6, 1), (0, -1))]
+    solid = Solid(file=file, held=ends[0], sensing=ends[1])
+    assert solid.pieces[-1] == "held"
+    turn = np.linspace(0, 2 * np.pi, 200)
+    for radius in (8.9, 8.95, 8.99, 9.0):
+        place = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(200, 6.0)])
+        assert np.abs(solid.piece_distances(place)[:, -1]).max() < 1e-9
+        assert np.abs(solid.piece_distances(place).min(axis=1)).max() < 1e-3
 
 
 def test_the_wall_of_a_hole_is_bent_into_the_rubber_and_ends_at_the_flat_sides(tmp_path):

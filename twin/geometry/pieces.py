@@ -282,10 +282,11 @@ class _Nearest:
         for name, array in vars(found).items():
             getattr(self, name)[place] = array
 
-    def limit(self, depth: Floats) -> None:
+    def limit(self, depth: Floats, bent: Floats) -> None:
         """Take the plain distance where, inside a body with dents, a piece's plane cuts other
-        parts: where its distance is less than ``depth``, that to the whole surface."""
-        room = _TOUCHING_MM + self.bent
+        parts: where its distance is less than ``depth``, that to the whole surface, which is
+        ``bent`` there: between flat and bent triangles no other piece is far away."""
+        room = _TOUCHING_MM + np.maximum(self.bent, bent)
         far_away = (depth > room) | (self.distance < depth - room)
         self.distance[far_away] = self.plain[far_away]
         clear = far_away & (self.plain > _TOUCHING_MM)
@@ -374,10 +375,11 @@ class Pieces:
             inward = -self._outward[triangle, feature]
             plain = np.linalg.norm(away, axis=1)
             depth = np.where(np.einsum("ni,ni->n", away, inward) >= 0.0, plain, -plain)
+            height = np.zeros(len(points))
             if self._rises is not None:
                 height, bent = self._bent(triangle, foot, feature, plain, inward)
                 depth = (depth + height) / np.linalg.norm(bent, axis=1)
-            found.limit(depth)
+            found.limit(depth, np.abs(height))
         return found.distance, found.normal
 
     def _measured(self, points: Points) -> tuple[Floats, Floats]:
@@ -388,7 +390,7 @@ class Pieces:
             row = np.arange(len(points))
             first = np.argmin(found.plain, axis=1)
             side = np.where(found.within[row, first], 1.0, -1.0)
-            found.limit((side * found.plain[row, first])[:, None])
+            found.limit((side * found.plain[row, first])[:, None], found.bent[row, first, None])
         return found.distance, found.normal
 
     def _nearest(self, points: Points, k: int) -> _Nearest:
