@@ -194,7 +194,7 @@ def test_what_a_torque_error_is_over_and_both_totals(full: RunResult) -> None:
     score = {**full.score, "force": {**full.score["force"], "torque_error": 0.03}}
     page = report(replace(full, score=score))
     assert "the force times 1 mm" in page
-    assert "estimate, sum of the sites" in page
+    assert ">sum of the sites<" in page
     assert "There are two estimates of the total" in page
 
 

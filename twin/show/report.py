@@ -687,7 +687,7 @@ def _resultants(result: RunResult) -> str:
         total = estimate.force_n.sum(axis=0)
         if not np.allclose(total, estimate.total_force_n, rtol=1e-6, atol=1e-9):
             torque = np.cross(estimate.site_mm, estimate.force_n).sum(axis=0)
-            totals.append(("estimate, sum of the sites", total, torque))
+            totals.append(("sum of the sites", total, torque))
             note = f'<p class="note">{_TWO_TOTALS}</p>'
     if not totals:
         return ""
@@ -700,7 +700,8 @@ def _resultants(result: RunResult) -> str:
     columns = [
         [*one, *other] for one, other in zip(_aligned(forces), _aligned(torques), strict=True)
     ]
-    names = [f"force along {a}, N" for a in "xyz"] + [f"torque about {a}, N mm" for a in "xyz"]
+    names = [f"force along {a},&nbsp;N" for a in "xyz"]
+    names += [f"torque about {a}, N&nbsp;mm" for a in "xyz"]
     return _by_column("Total force, and torque about the origin", heads, names, columns) + note
 
 

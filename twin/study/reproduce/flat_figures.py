@@ -129,8 +129,9 @@ def _figure_6(bench: Bench) -> Entry.Outcome:
     signal = picture[..., 0].astype(int) - picture[..., 2]
     red = np.maximum(signal, 0)
     blue = np.maximum(-signal, 0)
-    split = np.stack([red, np.zeros_like(red), blue], axis=2).astype(np.uint8)
-    split_title = "Red minus blue: positive part red, negative part blue"
+    brighter = 255 / max(int(np.abs(signal).max()), 1)
+    split = (brighter * np.stack([red, 0 * red, blue], axis=2)).astype(np.uint8)
+    split_title = "Red minus blue, brightened; blue where negative"
     panels = (
         Panel.picture(title="The picture at rest", picture=picture),
         Panel.picture(title=split_title, picture=split),
