@@ -561,9 +561,7 @@ def _reproduction() -> dict[str, str]:
     assert all(ENTRIES[r["entry"]].cpu_seconds == math.ceil(r["CPU"]) for r in rows if "entry" in r), "entries.toml"
     took = sorted(((entry.cpu_seconds, name) for name, entry in ENTRIES.items()), reverse=True)
     longest = ", ".join(f"{name} ({seconds})" for seconds, name in took[:4])
-    parts["seconds"] = (
-        f"All took {sum(t for t, _ in took)} s of CPU on one core, beside other work. Longest: {longest}.\n"
-    )
+    parts["seconds"] = f"All took {sum(s for s, _ in took)} s of one core, beside other work. Longest: {longest}.\n"
     tables = {"same hardware": same_hardware, "half-space": half_space}
     return parts | {mark: f"{table(shown)}\n" for mark, shown in tables.items()}
 
