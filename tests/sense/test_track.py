@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from drawn import LAYOUT, SIZE, flat_layout, joined, picture
+from scipy.ndimage import gaussian_filter
 
 from benchmarks.conditions import Card, film, hidden, jpeg, mosaic, stretches
 from benchmarks.discs import bound_px, cover, expose, scene
@@ -411,6 +412,26 @@ def test_drawn_dots_without_grey_levels(shape, radius):
     assert found.seen.all()
     assert np.sqrt(np.mean(error**2)) < (0.2 if shape == "disc" else 0.5)
     assert 0.5 < np.sqrt(np.mean((error / found.sd_px[:, None]) ** 2)) < 2.0
+
+
+@pytest.mark.parametrize(("apart", "count", "frame"), [(22.0, (8, 6), 40), (22.0, (2, 2), 40), (150.0, (2, 2), 0)])
+def test_dark_dots_are_found_where_a_dark_frame_fills_more_of_the_picture_or_they_are_far_apart(apart, count, frame):
+    (x, y), size = np.meshgrid(np.arange(320), np.arange(240)), np.array([320, 240])
+    places = flat_layout(*count, apart, (0.0, 0.0))["red"]
+    places = places - places.mean(axis=0) + size / 2
+
+    def view(shift):
+        ground = np.where((abs(x - 160) < 160 - frame) & (abs(y - 120) < 120 - frame), 190.0, 5.0)
+        cover = [np.clip(4.5 - np.hypot(x - a, y - b), 0, 1) for a, b in places + shift]
+        grey = ground + (30.0 - ground) * np.max(cover, axis=0)
+        noise = np.random.default_rng(int(shift[0])).normal(0, 1, grey.shape)
+        return (
+            np.repeat(np.rint(gaussian_filter(grey, 0.8) + noise)[:, :, None], 3, axis=2).clip(0, 255).astype(np.uint8)
+        )
+
+    found = track(view((0.0, 0.0)), view((1.0, -2.0)), {"dots": places})
+    assert found.seen.all()
+    np.testing.assert_allclose(found.shift_px, np.tile([1.0, -2.0], (len(places), 1)), atol=0.06)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

@@ -28,6 +28,10 @@ Signal = NDArray[np.float32]
 SAMPLES = 4000
 """Marker pixels that are looked at for the colours."""
 
+MARKED = (0.99, 0.999, 0.9999)
+"""Quantiles of the contrast at which markers are looked for, until one is well above the ground's
+spread."""
+
 SHADED = 0.5
 """Where the ground varies so much that its own shading leaves less than this share of the spread of
 colours, the shading is taken off before markers' colours are looked for."""
@@ -395,8 +399,10 @@ def _contrasts(
     if not len(away):
         return None
     strength = np.linalg.norm(away, axis=1)
-    top = np.quantile(strength, 0.99)
-    if top < max(8.0, 3.0 * _spread(away)):
+    # Few or small markers far apart fill less than a hundredth of the picture.
+    least = max(8.0, 3.0 * _spread(away))
+    top = next((q for q in np.quantile(strength, MARKED) if q >= least), None)
+    if top is None:
         return None
     strong = away[strength > 0.5 * top]
     return np.asarray(strong[:: max(1, len(strong) // SAMPLES)])

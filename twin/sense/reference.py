@@ -13,8 +13,9 @@ from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from twin.arrays import Floats, Picture, Pixels, frozen
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, frozen
 from twin.errors import InputError, require
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import CentreEstimator, Look
@@ -37,6 +38,9 @@ METHODS: dict[CentreMethod, type[CentreEstimator]] = {
     "soft-window": SoftWindow,
     "two-pass": PaperCentroid,
 }
+
+NARROWEST_PX = 3.0
+"""No marker is looked for as if it were narrower."""
 
 PAPERS_CHANNELS: tuple[Weights, Weights] = ((1.0, 0.0, -1.0), (-1.0, 0.0, 1.0))
 """The flat paper's difference of red and blue, for either layer (section 4.1)."""
@@ -149,17 +153,25 @@ def _first_look(
     contrast = max(LEAST_CONTRAST_DN, 4.0 * noise)
     width = diameter_px or 0.33 * spacing(nominal)
     blobs = Blobs.found_in(signal, width, contrast, floor)
-    for _ in range(2 if diameter_px is None else 0):
-        whole = blobs.diameter_px[blobs.whole]
-        if not len(whole):
-            break
+    looks_left = 2 if diameter_px is None else 0
+    while looks_left:
+        markers = _nearest(nominal, blobs.centre_px, blobs.whole)
         before = width
-        width = float(np.clip(np.median(whole), 3.0, 0.9 * max(spacing(nominal), 4.0)))
-        blobs = Blobs.found_in(signal, width, contrast, floor)
-        if 0.8 < width / before < 1.25:
+        if len(markers):
+            usual = float(np.median(blobs.diameter_px[markers]))
+            width = float(np.clip(usual, NARROWEST_PX, 0.9 * max(spacing(nominal), 4.0)))
+            looks_left -= 1
+        elif width > 2.0 * NARROWEST_PX:  # much narrower than they are apart, they are blurred away
+            width /= 2.0
+        else:
             break
-    usual = float(np.median(blobs.area_px)) if len(blobs) else 0.0
-    keep = (blobs.whole | blobs.cut) & (blobs.area_px > 0.3 * usual) & (blobs.area_px < 2.5 * usual)
+        blobs = Blobs.found_in(signal, width, contrast, floor)
+        if len(markers) and 0.8 < width / before < 1.25:
+            break
+    keep = blobs.whole | blobs.cut
+    if keep.any():
+        usual = float(np.median(blobs.area_px[_nearest(nominal, blobs.centre_px, keep)]))
+        keep &= (blobs.area_px > 0.3 * usual) & (blobs.area_px < 2.5 * usual)
     height, width_px = signal.shape
     return Look(
         rows=rows,
@@ -172,6 +184,15 @@ def _first_look(
         picture_px=(height, width_px),
         blobs=Blobs(**{f.name: getattr(blobs, f.name)[keep] for f in fields(Blobs)}),
     )
+
+
+def _nearest(nominal: Pixels, spots: Pixels, fit: Bools) -> Ints:
+    """Return which of ``spots`` (b, 2) that ``fit`` are the nearest to some nominal place: markers
+    are among them, the border of a gel that lies in the picture mostly isn't."""
+    rows = np.flatnonzero(fit)
+    if not len(rows):
+        return rows
+    return np.unique(rows[cKDTree(spots[rows]).query(nominal)[1]])
 
 
 def _checked_layout(layout: Mapping[str, Pixels]) -> dict[str, Pixels]:
