@@ -220,7 +220,8 @@ def _linear_solve(
         raise ContactError(
             "contact: no place balances the given forces, as a component that is held by force can "
             "move freely (a probe without friction slides off a slope): hold x, y or the turn by "
-            "motion (leave it out of force_n and torque_nmm), or give press.friction a value"
+            "motion (leave it out of force_n and torque_nmm; where force_n is to act along "
+            'press.direction, press.axes = "probe" does so), or give press.friction a value'
         ) from singular
     force = np.zeros(3 * k)
     force[rows] = found

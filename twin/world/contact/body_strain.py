@@ -531,8 +531,16 @@ def _unsolved(press: Press, body: Body, material: Material) -> str:
                     "press.steps turn the probe about x or y: one with friction that doesn't roll, "
                     "but slides or turns about its way, is solved"
                 )
-        elif turned[ABOUT_X:].any() or held[:, np.arange(MOTIONS) != Z].any():
-            return "press: probes that are guided along their way and don't turn are solved"
+        elif turned[ABOUT_X:].any():
+            return "press.steps turn the probe: one without friction that doesn't turn is solved"
+        elif held[:, np.arange(MOTIONS) != Z].any():
+            what = "press.steps give forces or torques"
+            if one.force_n is not None:
+                what = f"press.force_n = {one.force_n} has parts"
+            return (
+                f"{what} across its direction: without friction a probe that is guided along it "
+                '(press.axes = "probe", press.force_n = (0, 0, force)) is solved'
+            )
         if press.also and not held[:, Z].all():
             return "press.also: several probes are solved where forces press them all"
     return ""

@@ -236,6 +236,7 @@ class MixedRubber:
             problem = found
         raise NotSettled(
             f"contact: at finite strain (material.law = {self._law_name}) Newton's steps did not "
-            f"converge in {steps}: press with less force, with a larger or rounder probe, or set "
-            "material.poisson_ratio = 0.5 or material.law = linear"
+            f"converge in {steps}: press with less force, with a larger or rounder probe "
+            "(press.probe.edge_mm of a flat face), or set material.poisson_ratio = 0.5 or "
+            "material.law = linear"
         ) from problem

@@ -89,9 +89,9 @@ _MIXED, _MIXED_STEPS, _MIXED_TO = 5, 10, 0.2
 """How many changes are mixed, in how many steps at most, and how much shorter the last one is than
 Newton's, after which less is left."""
 
-_MOST_BALANCES, _BALANCED, _FULL_STEPS = 100, 1e-6, 15
-"""Most iterations of a balance of contact, the relative step at which they end, and after how many
-steps are shortened."""
+_FEW_BALANCES, _MOST_BALANCES, _BALANCED, _FULL_STEPS = 30, 100, 1e-6, 15
+"""Most iterations of a balance of contact at finite strain by the tangent at rest, and of others,
+the relative step at which they end, and after how many steps are shortened."""
 
 _STRAINED = 0.03
 """Elements with no larger change of F, or pressure over the shear modulus, have the tangent of
@@ -675,7 +675,9 @@ class RubberContact:
         force = np.zeros(len(loose))
         force[free] = stiffness.schur @ (moved - loose)[free]
         trust, last, settled = 0.0, math.inf, False
-        for taken in range(_MOST_BALANCES):
+        # Where the tangent at rest takes more, the present one is likely to take fewer.
+        few = stiffness is self._rest_stiffness and not linear
+        for taken in range(_FEW_BALANCES if few else _MOST_BALANCES):
             if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
                 on = state.anchors.on & (state.pressure > 0.0)
                 state = replace(state, anchors=replace(state.anchors, on=on))
