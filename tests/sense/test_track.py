@@ -891,6 +891,21 @@ def test_wide_dots_with_rough_outlines(diameter, wave, camera):
     assert np.abs(track(rest, rest, {"dots": marks}).shift_px).max() < 1e-6
 
 
+def test_squares_behind_a_lens_are_no_ellipses():
+    """Their outline has no third harmonic: by ellipses they were .14 px off, and one in four by five deviations."""
+
+    def square(dx, dy, x, y):
+        return np.clip(0.5 + 10.0 * (11.0 - np.fmax(np.abs(dx), np.abs(dy))), 0.0, 1.0)
+
+    card = Card(32.0)
+    shift = 0.02 * (card.marks - card.marks.mean(axis=0)) + [0.4, -0.3]
+    found = track(expose(card.draw(shade=square), 1), expose(card.draw(shift, shade=square), 2), card.layout)
+    error = found.shift_px - shift
+    assert found.seen.all()
+    assert np.sqrt(np.mean(error**2)) < 0.02
+    assert np.sqrt(np.mean((error / found.sd_px[:, None]) ** 2)) < 1.5
+
+
 def test_a_strained_marker_that_is_partly_hidden_does_not_pass_for_a_smaller_one():
     card = Card(10.0)
     shift, random = card.shifts(3), np.random.default_rng(5)

@@ -47,7 +47,7 @@ from twin.sense.rest_templates import (
     LayerSignal,
     in_other_light,
 )
-from twin.sense.shape_fit import NORMAL_MEDIAN, Expected, OwnPictures, fit_shapes
+from twin.sense.shape_fit import NORMAL_MEDIAN, Expected, OwnPictures, fit_shapes, fourth_harmonics
 from twin.sense.shift_error import (
     COVERED_SD_PX,
     NORMAL,
@@ -111,6 +111,10 @@ ROUGH_PX, WIDE_PX = 0.07, 7.0
 turns a share of it into motion. Round dots have .003 to .03 px (8 to 44 px wide, JPEG 60, sharp or
 pale), blue ones with half the resolution up to .064, on grained ground all up to .046; outlines off
 by 1 % in each harmonic .09 to .18 (from 24 px on). Radius above which that matters."""
+
+CORNERED_PX = 0.6
+"""The same of the fourth harmonic. Squares 24 px wide have 1.7 px, round dots up to .46 (15 px wide
+under JPEG 60, blurred by 1.6 px), mostly below .1."""
 
 UNLIKE = 0.12
 """Root mean square of what a fit leaves beyond what usual fits leave, as a share of the marker's
@@ -269,8 +273,12 @@ class DiscFit(SoftWindow):
             sd[cut] = np.hypot(sd[cut], np.sqrt(max(square - 2.0 * noise, 0.0)))
         pictures = None
         rough = good & ~cut & (templates.radius_px > WIDE_PX)
-        if rough.any() and here.roughness_px > ROUGH_PX:
-            pictures = OwnPictures.of(picture, templates, np.flatnonzero(rough))
+        rows = np.flatnonzero(rough)
+        if len(rows) and (
+            here.roughness_px > ROUGH_PX
+            or medians(fourth_harmonics(picture, templates, rows)) > CORNERED_PX
+        ):
+            pictures = OwnPictures.of(picture, templates, rows)
             sd[rough] = np.sqrt(fitted[rough, VARIANCE].mean(axis=1))
         covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
         rest_px = np.where(good[:, None], fitted[:, CENTRE], np.nan)
