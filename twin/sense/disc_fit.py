@@ -47,7 +47,7 @@ from twin.sense.rest_templates import (
     LayerSignal,
     in_other_light,
 )
-from twin.sense.shape_fit import NORMAL_MEDIAN, Expected, OwnPictures, fit_shapes, fourth_harmonics
+from twin.sense.shape_fit import NORMAL_MEDIAN, Expected, OwnPictures, fit_shapes
 from twin.sense.shift_error import (
     COVERED_SD_PX,
     NORMAL,
@@ -276,7 +276,7 @@ class DiscFit(SoftWindow):
         rows = np.flatnonzero(rough)
         if len(rows) and (
             here.roughness_px > ROUGH_PX
-            or medians(fourth_harmonics(picture, templates, rows)) > CORNERED_PX
+            or medians(OwnPictures.fourth_harmonics(picture, templates, rows)) > CORNERED_PX
         ):
             pictures = OwnPictures.of(picture, templates, rows)
             sd[rough] = np.sqrt(fitted[rough, VARIANCE].mean(axis=1))

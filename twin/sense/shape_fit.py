@@ -684,6 +684,24 @@ class OwnPictures:
             terms.append(np.stack(columns, axis=2, dtype=np.float32))
         return cls(rows=rows, place=place, use=use, terms=terms)
 
+    @staticmethod
+    def fourth_harmonics(picture: Picture, templates: Templates, rows: Ints) -> Floats:
+        """Return (k,) by how far outlines of the ``rows`` lie outside their ellipses in the fourth
+        harmonic, px: squares and crosses have no third.
+
+        With z the place in the marker's own ellipse, as a complex number, an outline 1 + e cos 4a
+        has 3 e for the sum of light times z^4, over that of light times |z|^4.
+        """
+        centre = templates.rest[rows, None, CENTRE]
+        place = np.rint(centre).astype(np.int64) + disc_offsets(templates.reach_px)
+        signal, use, _ = _signal(picture, templates, place)
+        light = use * (signal - templates.rest[rows, None, GROUND])
+        xx, xy, yy = templates.shape[rows, :3].T[:, :, None]
+        dx, dy = (place - centre).transpose(2, 0, 1)
+        z = (yy * dx - xy * dy + 1j * (xx * dy - xy * dx)) / (xx * yy - xy * xy)
+        lies = np.abs((light * z**4).sum(axis=1) / (light * np.abs(z) ** 4).sum(axis=1)) / 3.0
+        return np.asarray(templates.radius_px[rows] * lies)
+
     def fit(self, picture: Picture, templates: Templates, fitted: Floats) -> None:
         """Fit the markers, in place, from the centres and sizes that are ``fitted`` on.
 
@@ -767,24 +785,6 @@ class OwnPictures:
         new[:, ONE_SIDED:RESHAPED], new[:, RESHAPED] = np.nan, OWN_PICTURE
         new[:, SHORTFALL], new[:, DOUBTED], new[:, DIFFERENCE] = 1.0, 0.0, 0.0
         fitted[rows[found]] = new[found]
-
-
-def fourth_harmonics(picture: Picture, templates: Templates, rows: Ints) -> Floats:
-    """Return (k,) by how far outlines of the ``rows`` lie outside their ellipses in the fourth
-    harmonic, px: squares and crosses have no third.
-
-    With z the place in the marker's own ellipse, as a complex number, an outline 1 + e cos 4a has
-    3 e for the sum of light times z^4, over that of light times |z|^4.
-    """
-    centre = templates.rest[rows, None, CENTRE]
-    place = np.rint(centre).astype(np.int64) + disc_offsets(templates.reach_px)
-    signal, use, _ = _signal(picture, templates, place)
-    light = use * (signal - templates.rest[rows, None, GROUND])
-    xx, xy, yy = templates.shape[rows, :3].T[:, :, None]
-    dx, dy = (place - centre).transpose(2, 0, 1)
-    z = (yy * dx - xy * dy + 1j * (xx * dy - xy * dx)) / (xx * yy - xy * xy)
-    lies = np.abs((light * z**4).sum(axis=1) / (light * np.abs(z) ** 4).sum(axis=1)) / 3.0
-    return np.asarray(templates.radius_px[rows] * lies)
 
 
 def _views(picture: Picture, templates: Templates) -> tuple[list[Singles], Bools]:
