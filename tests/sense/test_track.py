@@ -386,6 +386,22 @@ def test_layers_in_a_grey_picture():
         assert np.nanmax(np.abs(found.rest_px - joined(layout))) < 0.1
 
 
+@pytest.mark.parametrize(("second", "glare"), [((35, 35, 35), 0), ((20, 0, -80), 0), ((-140, -140, -140), 90)])
+def test_a_layer_far_paler_than_the_other_is_found_and_glare_is_none(second, glare):
+    """Black dots and white, yellow or black ones on light grey. White ones, and black ones beside glare, were lost."""
+    random, (x, y) = np.random.default_rng(6), np.meshgrid(*map(np.arange, SIZE))
+    light = 160.0 + glare * np.exp(-((x - 200.0) ** 2 + (y - 130.0) ** 2) / 1250.0)[..., None]
+    shift, pair = {name: random.normal(0.0, 0.5, p.shape) for name, p in LAYOUT.items()}, []
+    for seed in range(2):
+        dark, other = (cover(SIZE, p + seed * shift[name], 10.0, 0.7)[..., None] for name, p in LAYOUT.items())
+        pair.append(expose(light - 140.0 * dark + np.array(second) * other, seed))
+    found = track(*pair, LAYOUT)
+    error = found.shift_px - joined(shift)
+    assert found.seen.mean() > 0.98
+    assert np.nanmean(error**2) < 0.02**2
+    assert np.nanmean((error / found.sd_px[:, None]) ** 2) < 1.4
+
+
 @pytest.mark.parametrize(("shape", "radius"), [("disc", 2.5), ("disc", 5.0), ("square", 5.3), ("cross", 8.0)])
 def test_drawn_dots_without_grey_levels(shape, radius):
     """Motion by whole pixels is exact, by parts of one as good as a centroid. By the fit half were refused as partly

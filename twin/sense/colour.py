@@ -36,6 +36,13 @@ SHADED = 0.5
 """Where the ground varies so much that its own shading leaves less than this share of the spread of
 colours, the shading is taken off before markers' colours are looked for."""
 
+HARDLY_SHOWN = 0.5
+"""Share of a colour's contrast that another layer's signal must show, or it gets its own."""
+
+ABSENT = 0.5
+"""Share of a layer's markers that a colour of its own shows less than another layer's does, above
+which it is a reflection's or the ground's, and no layer's."""
+
 UNSPLIT_COSINE = 0.97
 """Two marker colours closer than this in direction can't be split; their layers then share one
 signal."""
@@ -364,10 +371,18 @@ def estimate_channels(
         colours can't be separated; a picture without contrast yields the grey one.
     """
     grey = (1 / 3, 1 / 3, 1 / 3) if polarity != "dark" else (-1 / 3, -1 / 3, -1 / 3)
-    samples = _contrasts(rest_image, layout, spacing_px, polarity)
+    away = _contrasts(rest_image, layout, spacing_px, polarity)
+    samples = _strongest(away)
     if samples is None:
         return dict.fromkeys(layout, grey)
     weights = projections(samples, len(layout))
+    if len(weights) == 1 < len(layout):
+        # A layer may be so faint that none of its pixels are among the strongest.
+        shown = away @ _unit(samples.mean(axis=0))
+        fainter = _strongest(away[shown < HARDLY_SHOWN * np.linalg.norm(away, axis=1)])
+        if fainter is not None:
+            apart = projections(np.concatenate([samples, fainter]), len(layout))
+            weights = apart if len(apart) > 1 else weights
     if len(weights) == 1:
         return dict.fromkeys(layout, weights[0])
     if pair is not None and len(layout) == len(pair):
@@ -377,16 +392,15 @@ def estimate_channels(
 
 def _contrasts(
     image: Picture, layout: Mapping[str, Pixels], spacing_px: float, polarity: str | None
-) -> Floats | None:
-    """Return (n, 3) colours minus the ground's colour of pixels that surely belong to markers, or
-    None."""
+) -> Floats:
+    """Return (n, 3) colours minus the ground's colour around the markers."""
     height, width = image.shape[:2]
     points = np.concatenate([np.asarray(p, float) for p in layout.values()])
     low = np.maximum(np.floor(points.min(axis=0) - spacing_px), 0).astype(int)
     high = np.ceil(points.max(axis=0) + spacing_px)
     high = np.minimum(high, [width - 1, height - 1]).astype(int)
     if np.any(high <= low):
-        return None
+        return np.zeros((0, 3))
     part = image[low[1] : high[1] + 1, low[0] : high[0] + 1]
     every = max(1, part.size // 300_000)
     pixels = part.reshape(-1, 3)[::every].astype(float)
@@ -396,6 +410,11 @@ def _contrasts(
         away = level
     if polarity is not None:
         away = away[(away.sum(axis=1) > 0) == (polarity == "bright")]
+    return np.asarray(away)
+
+
+def _strongest(away: Floats) -> Floats | None:
+    """Return those of the colours (n, 3) that surely belong to markers, or None."""
     if not len(away):
         return None
     strength = np.linalg.norm(away, axis=1)
@@ -511,4 +530,7 @@ def _assign(
     orders = list(permutations(range(len(weights))))
     totals = [score[np.arange(len(layout)), list(order)].sum(axis=0).max() for order in orders]
     best = orders[int(np.argmax(totals))]
+    any_colours = score.max(axis=1).sum(axis=0)
+    if any_colours.max() > max(totals) + ABSENT:
+        best = tuple(score[:, :, any_colours.argmax()].argmax(axis=1))
     return {name: weights[j] for name, j in zip(layout, best, strict=True)}
