@@ -22,6 +22,7 @@ from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
 from twin.theory.optics import project, project_with_jacobian
+from twin.theory.relaxation import Hereditary
 
 FLAT, FINGER, SMALL = flat_sensor(), finger_sensor(), flat_sensor(8, 6)
 
@@ -287,6 +288,14 @@ def test_unusable_motion_and_options():
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
             reconstruct(found, calibration, **options)
+    relaxing = dataclasses.replace(calibration, provenance=json.dumps({"relaxation": [[0.2, 0.5]]}))
+    history = Hereditary(relaxing.relaxation)
+    for past, after_s, words in (
+        (relaxing.relaxation, 0.0, "history must be a Hereditary"), (None, 0.1, "after_s = 0.1: .* with a history"),
+        (history, -0.1, "after_s"), (history, np.nan, "after_s"), (history, None, "after_s"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            reconstruct(found, relaxing, history=past, after_s=after_s)
 
 
 def test_wrong_vectors_are_found_and_left_out():

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.budget import own_transfer
+from twin.errors import InputError
 from twin.parts.load import Rectangles
 from twin.sense.calibration import read_calibration
 from twin.sense.fit_design import Fit
@@ -130,6 +131,15 @@ def test_nothing_is_fitted_that_the_tolerances_give_no_room():
     tight = SCENE.model_copy(update={"tolerance": SCENE.tolerance.model_copy(update={"tilt_deg": 0.0})})
     twin = FittedDesign(tight, Rectangles.on_surface(SCENE.body, np.zeros((1, 2)), 0.5, "places"), np.ones(1))
     assert not any(name.startswith("tilt") for name in twin.names)
+
+
+def test_presses_that_would_need_markers_outside_the_body_say_what_to_check():
+    """Mirrored places or metres for millimetres drive the fit there, long before a median error could warn."""
+    twin = design()
+    drawn = project(Sensor(SCENE).nominal_markers.points, *SCENE.optics)
+    outside = np.where(np.array(twin.names) == "depth_red", -1e3, 0.0)
+    with pytest.raises(InputError, match=r"presses do not fit this sensor.* check presses\.csv .*press_probe_mm"):
+        twin.predict(outside, drawn, np.zeros(1, int), np.array([[0.0, 0.0, 1.0]]))
 
 
 def test_footprints_have_the_second_moments_of_hertz_and_of_a_stuck_disc():

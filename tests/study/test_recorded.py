@@ -512,6 +512,9 @@ def recording(tmp_path_factory):
         (HEAD + "a.png,1,nan,0,0,0,1\n", "y_mm = 'nan'"),
         (HEAD + "a.png,0,0,,0,0,1e300\n", "line 2: fz_n"),
         (HEAD + ",1,2,0,0,0,1\n", "frame is empty"),
+        # commas for points shift the cells: here x = 1, y = 5, fz = 5; lines of empty cells end a spreadsheet's table
+        (HEAD + "rest.png,1,5,2,5,0,0,0,5\n", "line 2: has more cells than the first line. Numbers have a point"),
+        (HEAD + "rest.png,0,0,,0,0,1,,\n,,,,,,\n,,,,,,,,\n", "no marker moves in rest.png"),
         (HEAD.strip() + ",held_s\na.png,0,0,,0,0,1,-1\n", "line 2: held_s = '-1' must .* s, from 0"),
         (b"\xff\xfe\x00\x01", "can't be read|lacks"),
         # a force in grams, in a table with blanks and without z

@@ -29,6 +29,7 @@ UNITS = {
     "deg": "deg",
     "px": "px",
     "pct": "%",
+    "mm2": "mm2",
     "mm3": "mm3",
     "dn": "DN",
     "e": "electrons",

@@ -191,8 +191,10 @@ def reconstruct(
         The last frame's field, where a constrained solve starts. It changes the time of a solve,
         not its result.
     history
-        Of rubber that relaxes (`Calibration.relaxation`): what it remembers of a sequence's fields
-        before this one; it is updated. None where this field stands alone.
+        Of rubber that relaxes: what it remembers of a sequence's fields before this one; it is
+        updated. Before the first one make
+        ``twin.theory.relaxation.Hereditary(calibration.relaxation)``. None where this field stands
+        alone.
     after_s
         Time since the last field of ``history``, s; 0 for the first one.
 
@@ -233,6 +235,13 @@ def reconstruct(
     require(found, Found, "the motion", "make it with twin.track")
     require(calibration, Calibration, "the calibration", "read one with twin.read_calibration")
     check_options(method, weight, push_only, friction, camera, calibration)
+    new = "make one for a sequence by twin.theory.relaxation.Hereditary(calibration.relaxation)"
+    require(history, (Hereditary, NoneType), "history", new)
+    alone = history is None and calibration.relaxation is not None
+    if not (isinstance(after_s, Real) and 0.0 <= after_s < np.inf) or (after_s and alone):
+        raise InputError(
+            f"after_s = {after_s!r}: allowed are finite numbers from 0, s, with a history: {new}"
+        )
     problem = Problem.of(found, calibration, method)
     whole = problem.whiten(found.shift_px)
     if METHODS[method].local:

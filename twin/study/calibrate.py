@@ -175,6 +175,8 @@ def calibrate_to_file(
 
 def _agreement(made: Calibration) -> list[str]:
     """Return how well each press is predicted from the others, and what to check if it is not."""
+    from twin.study.fitted_design import FittedDesign
+
     usual, worst = float(np.median(made.left_out)), int(made.left_out.argmax())
     where = made.facts["frames"][worst] if "frames" in made.facts else f"place {worst + 1}"
     lines = [
@@ -183,9 +185,8 @@ def _agreement(made: Calibration) -> list[str]:
     ]
     if usual > DISAGREE:
         lines.append(
-            "warning the presses do not fit this sensor, so its forces will be wrong: check "
-            f"{TABLE} (N, mm, +z into the rubber, x along the picture's columns, y against its "
-            "rows), the body's size, the depth of the markers, and press_probe_mm"
+            "warning the presses do not fit this sensor, so its forces will be wrong: "
+            f"{FittedDesign.CHECK}"
         )
     return lines
 
@@ -216,9 +217,10 @@ def _read_back(
         lines.append(line("sites' sum, of sites that only push or obey friction, off by", sums))
     if (rms(totals / allowed) > UNSTATED).any():
         lines.append(
-            "warning total forces are further off than is stated. Often a size in the recipe is "
-            "wrong (thickness, depth, Poisson's ratio), which one layer of dots hardly shows. "
-            "Trust a force no more than the lines above say"
+            f"warning total forces are further off than is stated. Often {TABLE} has the wrong "
+            "sign of an axis or of one press, or a size in the recipe is wrong (thickness, depth, "
+            "Poisson's ratio), which one layer of dots hardly shows. Trust a force no more than "
+            "the lines above say"
         )
     return lines
 

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Floats, Ints, Pixels, Points
+from twin.errors import InputError
 from twin.parts.camera import Camera
 from twin.parts.load import Rectangles
 from twin.parts.scene import Scene
@@ -73,6 +74,13 @@ class FittedDesign:
         The compliance (3n, 3k), mm/N, of points (n, 3) under forces on k patches, of the nominal
         body with its cover, where that is of another material.
     """
+
+    CHECK = (
+        "check presses.csv (N, mm from the recipe's origin, +z into the rubber, x along the "
+        "picture's columns, y against its rows), the body's size, the markers' depth, and "
+        "press_probe_mm"
+    )
+    """What may be wrong where presses do not fit."""
 
     def __init__(
         self,
@@ -201,9 +209,20 @@ class FittedDesign:
     def predict(
         self, scaled: Floats, rest_px: Pixels, place: Ints, force_n: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """See `twin.sense.fit_design._Design.predict`."""
+        """See `twin.sense.fit_design._Design.predict`.
+
+        Raises
+        ------
+        InputError
+            Markers lie outside the body: the parameters try to explain presses of another sensor.
+        """
         optics = self.optics_of(scaled)
         markers, prints = self.markers_of(scaled, rest_px)
+        if not self.scene.body.contains(markers, -1e-6).all():
+            raise InputError(
+                "the presses do not fit this sensor: they would need markers outside its body; "
+                f"{self.CHECK}"
+            )
         by_place = self._footprints(scaled, markers)
         rest = project(markers, *optics)
         shifts, slopes = [], []

@@ -149,6 +149,14 @@ def read_numbers(
                 )
             for row in reader:
                 line = f"{path}, line {reader.line_num}"
+                more = "".join(row.pop(None, ()))
+                if not more and not any(row.values()):
+                    continue  # spreadsheets end tables with such lines
+                if more.strip():
+                    raise InputError(
+                        f"{line}: has more cells than the first line. Numbers have a point, not a "
+                        "comma; quote a text that holds commas"
+                    )
                 names.append((row["frame"] or "").strip())
                 if not names[-1]:
                     raise InputError(f"{line}: frame is empty; give the picture's file name")

@@ -27,7 +27,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four pressed samples of which one fails: it is pressed beside the body."""
     folder = tmp_path_factory.mktemp("formats") / "d"
     places = [[0.0, 0.0], [1.0, 1.0], [60.0, 0.0]]
-    scene = small_scene(columns=SEEN, vary={"press.at_mm": {"choice": places}}, dataset__samples_per_shard=6)
+    scene = small_scene(
+        columns=(*SEEN, "contact_area_mm2"), vary={"press.at_mm": {"choice": places}}, dataset__samples_per_shard=6
+    )
     assert 0 < make(folder, 6, scene).failed < 6
     return folder
 
@@ -93,6 +95,7 @@ def test_the_contact_sheet_shows_pictures_truth_and_failures(made: Path, tmp_pat
 def test_the_card_tells_errors_and_croissant_names_every_column(made: Path) -> None:
     card = (made / "README.md").read_text()
     assert "marker displacement, over the largest" in card
+    assert "| `contact_area_mm2` | mm2 |" in card
     assert Plan(small_scene(), 6).audited({0, 1, 4}) == [2]
     assert Plan(small_scene(), 500).audited({0, 499}) == [1, 125, 249, 373, 498]
     audit = json.loads((made / "meta" / "audit.json").read_text())
