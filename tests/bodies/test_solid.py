@@ -90,6 +90,18 @@ def test_a_wall_of_a_slot_is_no_sensing_surface(tmp_path):
     assert_allclose(solid.piece_distances(np.array([[3.0, 0, 9]]))[0, 0], 9)
 
 
+def test_only_what_is_surely_held_counts_as_held(tmp_path):
+    """Beside the held half of a base its plane goes on, over what is free."""
+    places = [(0, 0, 10.0), (15, -10, 10), (0, 0, 9), (16, 0, 10), (0, 0, 0)]
+    whole = solid_box(tmp_path, 30, 20, 10)
+    assert whole.holds(np.array(places)).tolist() == [True, True, False, False, False]
+    half = {"box": {"low_mm": (-20, -20, 9.9), "high_mm": (0.1, 20, 10.1)}}
+    outline = [(-15, -10), (0, -10), (15, -10), (15, 10), (0, 10), (-15, 10)]
+    halves = prism(outline, [(0, 1, 4), (0, 4, 5), (1, 2, 3), (1, 3, 4)], 10.0)
+    file = write_stl(tmp_path / "halves.stl", halves)
+    assert not Solid(file=str(file), held=half, sensing=SENSING_BELOW).holds(np.array(places)).any()
+
+
 def test_what_is_held_may_have_edges(tmp_path):
     file = write_stl(tmp_path / "box.stl", box(30, 20, 10))
     clamp = {"box": {"low_mm": (-16, -11, -1), "high_mm": (-14, 11, 11)}}

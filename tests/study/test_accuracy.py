@@ -32,6 +32,15 @@ def test_central_loads_meet_what_the_bare_scenes_ask(name):
     assert warnings_of(lambda: sensor.displacement(POINTS, Traction.bump((0, 0), 1.0, (0, 0, 1)))) == []
 
 
+def test_points_on_a_held_face_stay_where_they_are_and_count_in_no_error():
+    sensor, load = Sensor(load_scene("block_bare")), Traction.bump((0, 0), 1.0, (0, 0, 1))
+    held = [[0.0, 0.0, 40.0], [50.0, -45.0, 40.0]]
+    assert warnings_of(lambda: sensor.displacement(held, load)) == []
+    assert not sensor.displacement(held, load).any()
+    both, free = (sensor.displacement([*points, *POINTS], load) for points in (held, []))
+    assert np.array_equal(both, np.vstack([np.zeros((2, 3)), free]))
+
+
 def test_more_than_any_level_reaches_warns_once_with_asked_got_and_remedy():
     sensor = Sensor(load_scene("block_bare", {"accuracy.displacement": 1e-5}))
     load, points = Traction.disk((10, 5), 1.5, (1, 0, 1)), np.array([[9.0, 5.0, 1.0]])

@@ -204,6 +204,17 @@ class Body(Part):
         round-off."""
         return np.asarray(np.all(self.piece_distances(points) >= margin_mm, axis=1))
 
+    def holds(self, points: Points) -> Bools:
+        """Return (n,) whether (n, 3) points of the body are sure to lie on a held piece.
+
+        Planes of given triangles go on beyond their face, so of these only a layer's are sure.
+        """
+        away = self.piece_distances(points)
+        on = np.abs(away[:, list(self.held_pieces)]).min(axis=1) <= _FORGIVEN
+        if self.own_surface is not None and self.layer_mm is None:
+            on[:] = False
+        return np.asarray(on & (away.min(axis=1) >= -_FORGIVEN))
+
     def surface_samples(self, spacing_mm: float) -> Points:
         """Return (n, 3) surface points, mm, about ``spacing_mm`` apart, on rays from the middle."""
         low, high = np.array(self.bounds_mm)

@@ -328,10 +328,12 @@ class Ladder:
 
     def displacement(self, points: Points, load: Rectangles) -> _DisplacementResult:
         """Return the (n, 3) displacement of ``points`` under ``load``, from as fine a level as it
-        takes; arguments and errors as in `Compliance.displacement`."""
+        takes; exactly 0 on held faces. Arguments and errors as in `Compliance.displacement`."""
         best: _DisplacementResult | None = None
+        free = ~self._body.holds(points)
         for rung in self._levels(load):
-            moved, error = rung.answer(points, load)
+            moved = np.zeros((len(points), 3))
+            moved[free], error = rung.answer(points if free.all() else points[free], load)
             if best is None or error < best.error:
                 best = _DisplacementResult(displacement_mm=moved, error=error, compliance=rung)
             if best.error <= self._asked:
