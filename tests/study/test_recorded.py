@@ -499,6 +499,7 @@ def recording(tmp_path_factory):
     wanted = load_scene("kamiyama_pillar", {"calibration.method": "fitted"})
     drawn_at_rest(wanted)[0].save(folder / "rest.png")
     Image.new("RGB", (64, 48)).save(folder / "small.bmp")
+    Image.new("RGB", (640, 480)).save(folder / "dark.png")
     return wanted, folder
 
 
@@ -526,6 +527,7 @@ def recording(tmp_path_factory):
         (HEAD + "rest.png,0,0,0,0,0,0\n", "no press has a force; give what the load cell reads"),
         (HEAD + "rest.png,0,0,0,0.1,0,-1\nrest.png,1,0,0,0,0,-3\n", "every press pulls .the largest by fz_n = -3 N"),
         (HEAD + "rest.png,0,0,0,0,0,1\n", "no marker moves in rest.png: is it the rest picture"),
+        (HEAD + "dark.png,0,0,0,0,0,1\n", "dark.png: fewer than 2 markers were found: is it blurred"),
         (HEAD + "small.bmp,0,0,0,0,0,1\n", "small.bmp: the picture is 64x48 px, the rest picture 640x480"),
     ],
 )

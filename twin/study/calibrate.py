@@ -606,6 +606,11 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
             except InputError as problem:
                 cause = str(problem).removeprefix(f"{folder / name}: ")
                 raise InputError(f"{folder / name}: {cause}") from None
+            if found[-1].seen.sum() < 2:
+                raise InputError(
+                    f"{folder / name}: fewer than 2 markers were found: is it blurred, dark, or of "
+                    f"another sensor? Take it again, or leave its line of {TABLE} out"
+                )
             if progress is not None:
                 progress(f"tracking, press {number} of {count}", 0.3 * number / count)
         presses = _measured(scene, np.zeros(count, np.int64), force_n, found)
@@ -676,7 +681,7 @@ def _by_presses(
     inside = scene.body.contains(scene.body.chart_points(charts), -1e-6)
     _require_places(scene.body, places_mm, np.asarray(inside & near))
     for name, shift in zip(names, presses.shift_px, strict=True):
-        if np.isfinite(shift).any() and not np.nan_to_num(shift).any():
+        if not np.nan_to_num(shift).any():
             raise InputError(
                 f"{TABLE}: no marker moves in {name}: is it the rest picture? Name the press's own"
             )
