@@ -22,6 +22,7 @@ from standard_bodies import (
 )
 
 from twin.errors import InputError
+from twin.parts.body import Block
 from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
 from twin.world.elasticity.block_table import MANY_LOADS
@@ -221,6 +222,20 @@ def test_next_to_the_clamped_rim_there_is_no_bound_and_estimates_say_so(z, bound
     estimate = stiff.answer(np.array([[-3.0, -7.5, 8.5]]), load)[1]
     for error in (stiff.expected_error(load), estimate):
         assert error < 0.1 if bounded else error > 1.0
+
+
+@pytest.mark.parametrize("share", [1.0, 0.8])
+def test_a_rectangle_wider_than_the_body_is_thick_moves_it_as_its_quarters_do(share):
+    """At nu = 0 a pressure p on the whole face moves a depth z by p (thickness - z) / E."""
+    body, points = Block(width_mm=20, length_mm=20, thickness_mm=10), np.array([[0.0, 0, 1], [5, 4, 3], [9, 9, 5]])
+    stiff = Compliance(body, Material(youngs_modulus_mpa=0.5, poisson_ratio=0.0), level="sketch", table=False)
+    q = 5 * share
+    whole = rectangles((0, 0, 0.0), 2 * q, (0, 0, 4))
+    quarters = rectangles([(x, y, 0.0) for x in (-q, q) for y in (-q, q)], q, (0, 0, 1))
+    moved = stiff.displacement(points, whole)
+    assert_near(moved, stiff.displacement(points, quarters), 5e-3)
+    if share == 1.0:
+        assert_near(moved, np.outer(10 - points[:, 2], [0, 0, 0.01 / 0.5]), 5e-3)
 
 
 @pytest.mark.parametrize("name", ["block", "finger"])

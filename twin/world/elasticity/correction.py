@@ -728,7 +728,8 @@ def _near(
 ) -> None:
     """Set t[i, j] to sigma n dA per unit force j in closed form; d, u, n, g are scratch.
 
-    In the rectangle's own footprint the applied traction is taken off, and what is left is small.
+    In the rectangle's own footprint the applied traction is taken off, and what is left is small:
+    on the face that it presses, not on a held or free one that lies below.
     """
     x = frame[0, 0] * away[0] + frame[0, 1] * away[1] + frame[0, 2] * away[2]
     y = frame[1, 0] * away[0] + frame[1, 1] * away[1] + frame[1, 2] * away[2]
@@ -737,7 +738,7 @@ def _near(
     rectangle_slopes(x, y, z, a, b, k, d, n)
     for i in range(3):
         u[i, 0] = frame[i, 0] * area[0] + frame[i, 1] * area[1] + frame[i, 2] * area[2]
-    inside = abs(x) <= a and abs(y) <= b and z * z <= a * a + b * b
+    inside = u[2, 0] < 0.0 and abs(x) <= a and abs(y) <= b and z * z <= a * a + b * b
     for i in range(3):
         for j in range(3):
             g[i, j] = -nu / math.pi * n[j] * u[i, 0]
