@@ -450,6 +450,20 @@ def test_dark_dots_are_found_where_a_dark_frame_fills_more_of_the_picture_or_the
     np.testing.assert_allclose(found.shift_px, np.tile([1.0, -2.0], (len(places), 1)), atol=0.06)
 
 
+def test_rings_have_no_shift_without_a_deviation():
+    """A disc's fit to wide rings may end where its variance is negative: such shifts had a NaN for their deviation."""
+    (x, y), places = np.meshgrid(np.arange(640), np.arange(480)), flat_layout(7, 5, 72.0, (103.5, 95.5))["red"]
+
+    def rings(seed):
+        away = np.min([np.hypot(x - a, y - b) for a, b in places + 0.4 * seed], axis=0)
+        grey = 40.0 + 180.0 * (np.clip(20.5 - away, 0, 1) - np.clip(14.0 - away, 0, 1))
+        noise = np.random.default_rng(seed).normal(0, 1, (480, 640, 3))
+        return np.rint(gaussian_filter(grey, 1.0)[..., None] + noise).clip(0, 255).astype(np.uint8)
+
+    found = track(rings(0), rings(1), {"rings": places})
+    assert np.array_equal(found.seen, found.sd_px > 0)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_few_markers(count):
     layout = {"beads": np.array([[60.0, 50.0], [110.0, 52.0], [75.0, 95.0]])[:count]}

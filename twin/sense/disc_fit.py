@@ -265,7 +265,9 @@ class DiscFit(SoftWindow):
         # Rest positions, their standard deviations, and those of shifts to a picture alike.
         good = (fitted[:, EDGE] > LEAST_EDGE) & (fitted[:, LEVEL] >= spots.look.contrast_dn)
         good &= ~cut | (fitted[:, RESHAPED] == PART_IN_SIGHT)
-        sd = np.where(good, templates.centre_sds(fitted), np.nan)
+        sd = templates.centre_sds(fitted)
+        good &= np.isfinite(sd)
+        sd[~good] = np.nan
         if cut.any() and (good & ~cut).any():
             # what whole outlines' third harmonics exceed the noise by is unknown of those cut
             square = np.nanmedian(templates.third[good & ~cut] ** 2) / NORMAL_MEDIAN

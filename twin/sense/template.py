@@ -742,10 +742,10 @@ class Templates:
 
     def centre_sds(self, fitted: Floats) -> Floats:
         """Return (n,) standard deviations of ``fitted`` (n, `COLUMNS`) centres, per axis, px: the
-        noise's, more where the fit is bad; NaN where there was none."""
+        noise's, more where the fit is bad; NaN where there was none, or its optimum is none."""
         bad = np.maximum(fitted[:, MISFIT] / self.usual_misfit - UNUSUAL, 0.0)
         variance = 0.5 * (fitted[:, VAR_X] + fitted[:, VAR_Y])
-        return np.asarray(np.sqrt(variance * (1.0 + DOUBT * bad)))
+        return np.asarray(np.sqrt(np.where(variance > 0, variance, np.nan) * (1.0 + DOUBT * bad)))
 
     def fit(
         self,
