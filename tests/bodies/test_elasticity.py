@@ -88,15 +88,17 @@ def test_check_states_chords_and_edges_that_may_be_some(tmp_path, says):
         "sensing = {normal = [0, 0, -1], within_deg = 5}\n[material]\n"
     )
     (tmp_path / "pad.toml").write_text(recipe)
-    turn = 2 * np.pi * np.arange(10) / 10
-    tower = prism(8 * np.column_stack([np.cos(turn), np.sin(turn)]), [(0, k, k + 1) for k in range(1, 9)], 5.0)
-    write_stl(tmp_path / "pad.stl", tower)
+
+    def round_pad(sides):
+        turn = 2 * np.pi * np.arange(sides) / sides
+        outline = 8 * np.column_stack([np.cos(turn), np.sin(turn)])
+        write_stl(tmp_path / "pad.stl", prism(outline, [(0, k, k + 1) for k in range(1, sides - 1)], 5.0))
+
+    round_pad(10)
     printed = says(0, "check", str(tmp_path / "pad.toml"))
     assert "warning: edges of 30 to 40 deg" in printed
     assert "curved faces" not in printed
-    turn = 2 * np.pi * np.arange(30) / 30
-    disc = prism(8 * np.column_stack([np.cos(turn), np.sin(turn)]), [(0, k, k + 1) for k in range(1, 29)], 5.0)
-    write_stl(tmp_path / "pad.stl", disc)
+    round_pad(30)
     printed = says(0, "check", str(tmp_path / "pad.toml"))
     assert "curved faces: triangles lie up to 0.044 mm off them" in printed
     assert "edges of" not in printed

@@ -209,10 +209,10 @@ class Body(Part):
 
         Planes of given triangles go on beyond their face, so of these only a layer's are sure.
         """
+        if self.own_surface is not None and self.layer_mm is None:
+            return np.zeros(len(points), np.bool_)
         away = self.piece_distances(points)
         on = np.abs(away[:, list(self.held_pieces)]).min(axis=1) <= _FORGIVEN
-        if self.own_surface is not None and self.layer_mm is None:
-            on[:] = False
         return np.asarray(on & (away.min(axis=1) >= -_FORGIVEN))
 
     def surface_samples(self, spacing_mm: float) -> Points:

@@ -146,10 +146,16 @@ class SoftWindow(CentreEstimator):
         pair = np.full(len(found), -1)
         if found.any():
             pair[found] = cKDTree(look.blobs.centre_px).query(self.spot_px[found])[1]
-        signal = project(picture, look.weights, look.ground_dn + look.floor_dn)
-        signal -= np.float32(look.ground_dn)
+        signal = self._above_ground(picture)
         plain = _plain_centroids(signal, look.blobs)
         return replace(self._of_spots(replace(look, blobs=plain), pair), sharp=True)
+
+    def _above_ground(self, picture: Picture) -> Signal:
+        """Return the layer's signal above its ground, cut off at its floor."""
+        look = self.look
+        signal = project(picture, look.weights, look.ground_dn + look.floor_dn)
+        signal -= np.float32(look.ground_dn)
+        return signal
 
     def measure(self, picture: Picture, start_px: Pixels | None) -> Seen:
         blobs, spot, state, spurious = self._search(picture, start_px)
@@ -178,8 +184,7 @@ class SoftWindow(CentreEstimator):
         """Return the spots of the whole picture; (n,) which of them every marker is, -1 for none;
         (n,) why the others are lost; and (s, 2) spots that look like markers and are none's."""
         look = self.look
-        signal = project(picture, look.weights, look.ground_dn + look.floor_dn)
-        signal -= np.float32(look.ground_dn)
+        signal = self._above_ground(picture)
         blobs = Blobs.found_in(signal, look.diameter_px, look.contrast_dn, look.floor_dn)
         if self.sharp:
             blobs = _plain_centroids(signal, blobs)
