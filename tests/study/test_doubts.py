@@ -101,6 +101,8 @@ def test_a_press_that_moves_nothing_visibly_is_said_once_everywhere(tmp_path, sa
         Pad(size_mm=(100, 6, 3)),
         Pad(pitch_mm=(3,), fov_deg=60),
         Pad(depth_mm=(0.5, 1.5)),
+        Pad(size_mm=(250, 250, 20)),
+        Pad(size_mm=(20, 30, 3), camera_mm=20),
         Pad(pitch_mm=(2,), camera_mm=60, sensor_mm=4.8, focal_mm=8, resolution=(1280, 960)),
     ],
 )
@@ -115,6 +117,7 @@ def test_what_is_written_is_a_scene_without_doubts(pad: Pad, tmp_path: Path) -> 
     assert half > 0, "every site lies on the surface, or this is refused"
     assert scene.reconstruction is not None
     assert scene.reconstruction.method == "local"
+    assert pad.camera_mm or not unseen, "a distance that is left out lets all dots be seen"
     for text in unseen:
         assert text.startswith("the pad has room for")
         further = replace(pad, camera_mm=float(text.split()[-3]))
@@ -152,7 +155,7 @@ def test_a_chip_and_a_lens_give_the_angle(tmp_path: Path) -> None:
         (["--modulus-mpa", "200"], "--modulus-mpa 200 MPa: allowed are 0.003 to 50 MPa; 1 MPa = 1000 kPa"),
         (["--depth-mm", "4"], "--depth-mm 4 mm: allowed are 0.05 to 3.95 mm"),
         (["--pitch-mm", "1", "--diameter-mm", "1"], "--diameter-mm 1 mm: allowed are 0.02 to 0.9 mm"),
-        (["--pitch-mm", "8", "--fov-deg", "20"], "reduce the pitch, increase --fov-deg"),
+        (["--pitch-mm", "8", "--camera-mm", "20", "--fov-deg", "20"], "reduce the pitch, increase --fov-deg"),
         (["--fov-deg", "200"], "--fov-deg 200 deg: allowed are 5 to 120 deg"),
         (["--sensor-mm", "4"], "--sensor-mm and --focal-mm belong together"),
         (["--resolution", "10", "480"], "--resolution 10 px: allowed are 64 to 8192 px"),

@@ -19,6 +19,9 @@ from twin.files import write_whole
 SILICONE, ACRYLIC = 1.41, 1.49
 """Refractive indices."""
 
+SEEN = 0.95
+"""Share of the picture that dots may lie in."""
+
 MOST_SITES = 21
 """Columns or rows of the forces' grid, but on long strips."""
 
@@ -133,6 +136,29 @@ def _fov(pad: Pad) -> float:
     return math.degrees(2 * math.atan(pad.sensor_mm / 2 / pad.focal_mm))
 
 
+def _plate_mm(distance: float) -> float:
+    """Return the thickness of the plate that the pad lies on, mm."""
+    return min(3.0, distance / 4)
+
+
+def _room(side: float, diameter: float) -> float:
+    """Return how far from the pad's middle dots may lie, mm: a border stays free."""
+    return side / 2 - max(0.06 * side, diameter)
+
+
+def _distance_to_see_all(pad: Pad, layers: list[tuple[float, float, float]], focal: float) -> float:
+    """Return the distance of the lens from the pad's back, mm, from which all dots are seen."""
+    *sides, thickness = pad.size_mm
+    way = max(
+        (_room(side, diameter) + diameter) * 2 * focal / px / SEEN - (thickness - depth) / SILICONE
+        for depth, _, diameter in layers
+        for side, px in zip(sides, pad.resolution, strict=True)
+    )
+    # the plate shortens the way by refraction
+    distance = way + (1 - 1 / ACRYLIC) * min(3.0, way / (3 + 1 / ACRYLIC))
+    return max(6.0, math.ceil(10 * distance) / 10)
+
+
 def _layer_tables(
     pad: Pad, layers: list[tuple[float, float, float]], distance: float, plate: float, focal: float
 ) -> tuple[str, tuple[float, float], list[str]]:
@@ -147,8 +173,8 @@ def _layer_tables(
     for number, (depth, pitch, diameter) in enumerate(layers):
         # what the camera sees at this depth, refraction shortening the way
         way = distance - plate + plate / ACRYLIC + (thickness - depth) / SILICONE
-        seen = [0.95 * way * px / 2 / focal - diameter for px in pad.resolution]
-        room = [side / 2 - max(0.06 * side, diameter) for side in sides]
+        seen = [SEEN * way * px / 2 / focal - diameter for px in pad.resolution]
+        room = [_room(side, diameter) for side in sides]
         half = [min(pair) for pair in zip(seen, room, strict=True)]
         most, (columns, rows) = (
             [min(int(2 * h / pitch + 1e-9) + 1, 200) - number for h in each]
@@ -205,12 +231,14 @@ def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
         _in_range("resolution", pixels, "px", 64, 8192, "width and height of the picture")
     fov = _fov(pad)
     _in_range("fov-deg", fov, "deg", 5, 120, "the full angle of the picture's width")
-    distance = max(6.0, 1.04 * max(sides)) if pad.camera_mm is None else pad.camera_mm
-    _in_range("camera-mm", distance, "mm", 2, 1000, "from the back of the pad to the lens")
     # The camera behind its plate, the dots that it sees, and LEDs around it.
-    plate = min(3.0, distance / 4)
     focal = pad.resolution[0] / 2 / math.tan(math.radians(fov / 2))
     layers = _layers(pad)
+    distance = pad.camera_mm
+    if distance is None:
+        distance = _distance_to_see_all(pad, layers, focal)
+    _in_range("camera-mm", distance, "mm", 2, 1000, "from the back of the pad to the lens")
+    plate = _plate_mm(distance)
     tables, extent, unseen = _layer_tables(pad, layers, distance, plate, focal)
     height = thickness + distance
     led = round(max(1.0, 0.48 * min(sides)), 3)
@@ -222,7 +250,7 @@ def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
     # The sites of forces lie over the dots, but no further apart than this press is wide on thin
     # rubber: by sites 1.75 to 3 mm apart on 3 mm forces were 40 to 60 % off, by 0.9 mm 2 to 23.
     site = min(layers[0][1], 0.3 * thickness)
-    site = max(site, min(max(extent) / (MOST_SITES - 1), min(sides) / 3))
+    site = max(site, min(max(extent) / (MOST_SITES - 1), min(sides) / 3, 10))
     site_columns, site_rows = (
         min(int(own / site + 1e-6) + 1, int(side / site + 1e-6), 64)
         for own, side in zip(extent, sides, strict=True)
