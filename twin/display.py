@@ -56,12 +56,15 @@ def html_table(title: str, rows: Mapping[str, str], picture: str = "") -> str:
 
 
 class Table:
-    """A result with `columns` of equal length, and a short table for notebooks."""
+    """A result with `columns` of equal length, and a line of text or a short table about it."""
 
     _title: ClassVar[str]
 
+    def __repr__(self) -> str:
+        return one_line(type(self).__name__, [f"{k} {v}" for k, v in self._rows().items() if v])
+
     def _rows(self) -> Mapping[str, str]:
-        """Return the facts of the short table by name; empty ones are left out."""
+        """Return the facts of both by name; empty ones are left out."""
         raise NotImplementedError
 
     def _repr_html_(self) -> str:

@@ -24,7 +24,7 @@ from twin.errors import InputError
 from twin.files import make_folder, png_bytes, write_json, write_whole
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Truth(Table):
     """What really happened (``truth.npz``); n markers in their one order, m surface pieces under
     load.
@@ -63,9 +63,6 @@ class Truth(Table):
     total_force_n: Floats
     total_torque_nmm: Floats
 
-    def __repr__(self) -> str:
-        return one_line("Truth", [f"{name} {value}" for name, value in self._rows().items()])
-
     def _rows(self) -> dict[str, str]:
         return {
             "markers": str(len(self.marker_rest_mm)),
@@ -91,7 +88,7 @@ class Truth(Table):
         return plot_forces(new_axes(1, ax), self.surface_mm, self.surface_force_n, "true forces")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Estimate(Table):
     """What the sensor's software made of the pictures (``estimate.npz``); k sites, markers in the
     truth's order.
@@ -125,9 +122,6 @@ class Estimate(Table):
     sd_force_n: Floats
     sd_total_n: Floats
     sd_torque_nmm: Floats
-
-    def __repr__(self) -> str:
-        return one_line("Estimate", [f"{name} {value}" for name, value in self._rows().items()])
 
     def _rows(self) -> dict[str, str]:
         seen = int(np.isfinite(self.marker_shift_px).all(axis=1).sum())

@@ -16,7 +16,6 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Pixels, Points
 from twin.errors import InputError
-from twin.theory.limit import DIP
 
 GROSS_PX = 1.0
 """A shift wrong by more than this is a mistaken marker, not noise: counted apart, and left out of
@@ -398,7 +397,9 @@ def dip(x: Floats, y: Floats, apart: float) -> float:
 
 def two_point_distance(apart: Floats, dips: Floats) -> float:
     """Return the least of (n,) rising distances, at least the first, from which on all dip by
-    `DIP`, interpolated; infinite if none does."""
+    `twin.theory.limit.DIP`, interpolated; infinite if none does."""
+    from twin.theory.limit import DIP
+
     enough = dips >= DIP
     if not enough[-1]:
         return float("inf")

@@ -41,7 +41,6 @@ from twin.blas_threads import one_blas_thread
 from twin.display import (
     Table,
     new_axes,
-    one_line,
     plot_forces,
     vector,
 )
@@ -64,7 +63,7 @@ DECADE = 0.1
 solved serves again."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Field(Table):
     """The reconstructed force field.
 
@@ -122,9 +121,6 @@ class Field(Table):
         for value in vars(self).values():
             if isinstance(value, np.ndarray):
                 frozen(value)
-
-    def __repr__(self) -> str:
-        return one_line("Field", [f"{name} {value}" for name, value in self._rows().items()])
 
     def _rows(self) -> dict[str, str]:
         largest = float(np.abs(self.force_n[:, 2]).max(initial=0.0))

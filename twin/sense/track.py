@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Picture, Pixels, frozen
 from twin.blas_threads import one_blas_thread
-from twin.display import Table, new_axes, one_line, plot_shifts
+from twin.display import Table, new_axes, plot_shifts
 from twin.errors import AccuracyWarning, InputError
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import AMBIGUOUS, MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
@@ -59,7 +59,7 @@ spacings, must explain: then the whole picture is searched."""
 __all__ = ["STATES", "Found", "Tracker", "analyse_rest", "track", "track_frame"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Found(Table):
     """Marker motion in one picture; rows are the markers, layers concatenated in the layout's
     order.
@@ -119,9 +119,6 @@ class Found(Table):
     def seen(self) -> Bools:
         """(N,) which markers have a shift."""
         return np.asarray(np.isfinite(self.shift_px).all(axis=1))
-
-    def __repr__(self) -> str:
-        return one_line("Found", [f"{name} {value}" for name, value in self._rows().items()])
 
     def _rows(self) -> dict[str, str]:
         rows = {"markers": f"{int(self.seen.sum())} of {len(self.seen)} seen"}

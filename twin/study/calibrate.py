@@ -31,7 +31,6 @@ from twin.parts.load import Rectangles
 from twin.parts.part import Purpose, hash_of
 from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
-from twin.study.frames import PICTURES, read_numbers, read_picture
 from twin.study.sensor import Sensor
 from twin.theory.contact import hertz
 from twin.theory.optics import project_with_jacobian
@@ -560,6 +559,8 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
 
 def _rest_picture(folder: Path) -> Path:
     """Return the path of a recording's picture without load."""
+    from twin.study.frames import PICTURES
+
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; it holds rest.png and {TABLE}")
     found = [path for suffix in PICTURES if (path := folder / f"rest{suffix}").is_file()]
@@ -573,6 +574,7 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
     """Return the calibration of the sensor in a folder's pictures, its markers in words, and lines
     on the forces that it reads from presses."""
     from twin.sense.track import Tracker
+    from twin.study.frames import read_numbers, read_picture
 
     scene, progress = sensor.nominal, sensor.progress
     # The rest picture must show most of the design's markers.

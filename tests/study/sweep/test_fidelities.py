@@ -9,7 +9,7 @@ from small_sweep import SET, small
 
 import twin
 from twin.arrays import Floats
-from twin.judge.score import DIP, dip
+from twin.judge.score import dip
 from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import Sweep
 from twin.sense.calibration import Calibration
@@ -21,6 +21,7 @@ from twin.study.sensor import Sensor
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import Shown, full, linear, resolved_by_sites
 from twin.study.sweep.loads import Bodies, Pushes
+from twin.theory.limit import DIP
 
 METRICS = ("total_force_error", "fwhm_mm", "dip", "sd_px")
 BODIES = Bodies()

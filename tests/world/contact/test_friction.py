@@ -217,7 +217,7 @@ def test_many_small_steps_are_taken_in_few_parts_each(monkeypatch):
         steps[-1] += 1
         return control(**arguments)
 
-    monkeypatch.setattr("twin.world.contact.pressing.load_step", counted_step)
+    monkeypatch.setattr(load_step, "load_step", counted_step)
     monkeypatch.setattr(load_step, "Control", counted_part)
     side, torque = 0.6 * MU * PUSH, 0.1 * MU * PUSH
 

@@ -197,7 +197,7 @@ class PressError(Share):
         return cls(**vars(whole), body=body, patches=patches, increments=increments, strain=strain)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class ContactState(Table):
     """A probe and a body in equilibrium; of several probes the first, with the others in ``also``.
 
@@ -413,9 +413,6 @@ class ContactState(Table):
             elastic_nmm=elastic,
             dissipated_nmm=dissipated_nmm,
         )
-
-    def __repr__(self) -> str:
-        return one_line("ContactState", [f"{k} {v}" for k, v in self._rows().items()])
 
     def _rows(self) -> dict[str, str]:
         slips = int(self.slip.sum())

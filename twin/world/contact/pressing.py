@@ -47,7 +47,6 @@ from twin.world.contact.contact_search import (
     solve_frictionless,
 )
 from twin.world.contact.contact_state import ContactState
-from twin.world.contact.load_step import load_step
 from twin.world.contact.press_error import Estimates
 from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, TURN, Approach, X, Y, Z, half_extent
 from twin.world.contact.surface_patches import Box, Plane
@@ -414,6 +413,8 @@ def _frictional_step(
     if lifted.all():
         history = grid.recovered(history, lifted, control.time_s, increments)
     else:
+        from twin.world.contact.load_step import load_step
+
         _refuse_drag(grid, control, count)
         history, found, stopped = load_step(grid, history, control, increments)
         _refuse_overlap(grid.carried(history.slid_mm).contacts, found)

@@ -144,38 +144,14 @@ def expose(
     InputError
         Not a colour picture, or a pattern or earlier light of another size.
     """
-    # Everything that the rows need, as arrays for the compiled loop.
     full = ccd.spelt_out()
     mosaic = None
     if full.bayer != "none":
         mosaic = np.array(["rgb".index(letter) for letter in full.bayer]).reshape(2, 2)
     _check(radiance, mosaic, pattern, before)
     height, width, _ = radiance.shape
-    gain = dark = _NOTHING
-    if pattern is not None and full.noise:
-        gain, dark = _rows(pattern.gain), _rows(pattern.dark)
-    # The noise's first count and its key, which is odd.
-    key = np.zeros(0, np.uint64)
-    if full.noise:
-        key = rng.integers(2**64, size=2, dtype=np.uint64)
-        key[1] |= np.uint64(1)
-    # What falls on the chip, and what the LEDs and the transfer of charge add to it.
-    light = _rows(_on_the_chip(radiance, full, rng))
-    earlier = light if before is None else _rows(_on_the_chip(before, full, rng))
-    weights = _blur_weights(full.psf_px)
-    response = full.response.astype(np.float32)
-    shares: Singles = np.empty((height, width * (3 if mosaic is None else 1)), np.float32)
-
-    colours = np.zeros((0, 2), np.int64) if mosaic is None else mosaic
-    optics = (light, earlier, weights, response, full.interlace, colours)
-    noise = (gain, dark, key, _normal_deviates(), full.read_noise_e, full.full_well_e)
-
-    def electrons(_: int, begin: int, end: int) -> None:
-        scratch = np.empty((3, 3 * (width + len(weights))), np.float32)
-        _electron_rows(begin, end, *optics, *noise, scratch, shares)
-
     # Light to electrons: blur, colour mixing, noise, saturation.
-    in_parts(height, electrons)
+    shares = _wells(radiance, before, full, mosaic, pattern, rng)
     if full.noise and full.row_noise_e > 0:
         rows = rng.standard_normal((height, 1), np.float32)
         shares += np.float32(full.row_noise_e / full.full_well_e) * rows
@@ -190,19 +166,67 @@ def expose(
         shares *= np.tile(_gains(shares.reshape(height, width, 3), full), width)
     curve = _gamma_curve(full.gamma)
     if isinstance(full.bandwidth_mhz, tuple):
-        # Gaussians that pass half the power at the bandwidth, exp(-2 pi^2 s^2 f^2) = 1/sqrt 2.
-        half = np.sqrt(np.log(2)) / (2 * np.pi * np.asarray(full.bandwidth_mhz))
-        filters = tuple(map(_blur_weights, half * width / _ACTIVE_US))
-        matrices = np.stack([_YIQ, np.linalg.inv(_YIQ)]).astype(np.float32)
         # The line carries signals that are corrected by gamma already.
-        correction, curve = curve, _LINEAR
-        in_parts(
-            height,
-            lambda _, begin, end: _composite_rows(
-                begin, end, shares, correction, matrices, filters
-            ),
-        )
-    # Electrons to counts: black level, gain and rounding.
+        _send(shares, curve, full.bandwidth_mhz)
+        curve = _LINEAR
+    counts = _counts(shares, curve, full)
+    return _compressed(counts, full.jpeg_quality) if isinstance(full.jpeg_quality, int) else counts
+
+
+def _wells(
+    radiance: Singles,
+    before: Singles | None,
+    full: Any,
+    mosaic: Ints | None,
+    pattern: Pattern | None,
+    rng: np.random.Generator,
+) -> Singles:
+    """Return what the wells hold, in shares of a full one: (height, 3 width), or (height, width)
+    behind a mosaic."""
+    height, width, _ = radiance.shape
+    gain = dark = _NOTHING
+    if pattern is not None and full.noise:
+        gain, dark = _rows(pattern.gain), _rows(pattern.dark)
+    # The noise's first count and its key, which is odd.
+    key = np.zeros(0, np.uint64)
+    if full.noise:
+        key = rng.integers(2**64, size=2, dtype=np.uint64)
+        key[1] |= np.uint64(1)
+    # What falls on the chip, and what the LEDs and the transfer of charge add to it.
+    light = _rows(_on_the_chip(radiance, full, rng))
+    earlier = light if before is None else _rows(_on_the_chip(before, full, rng))
+    weights = _blur_weights(full.psf_px)
+    response = full.response.astype(np.float32)
+    colours = np.zeros((0, 2), np.int64) if mosaic is None else mosaic
+    optics = (light, earlier, weights, response, full.interlace, colours)
+    noise = (gain, dark, key, _normal_deviates(), full.read_noise_e, full.full_well_e)
+    shares: Singles = np.empty((height, width * (3 if mosaic is None else 1)), np.float32)
+
+    def electrons(_: int, begin: int, end: int) -> None:
+        scratch = np.empty((3, 3 * (width + len(weights))), np.float32)
+        _electron_rows(begin, end, *optics, *noise, scratch, shares)
+
+    in_parts(height, electrons)
+    return shares
+
+
+def _send(shares: Singles, curve: Segments, bandwidth_mhz: tuple[float, ...]) -> None:
+    """Send (height, 3 width) shares, corrected by a curve, through a composite line, in place."""
+    height, width = len(shares), shares.shape[1] // 3
+    # Gaussians that pass half the power at the bandwidth, exp(-2 pi^2 s^2 f^2) = 1/sqrt 2.
+    half = np.sqrt(np.log(2)) / (2 * np.pi * np.asarray(bandwidth_mhz))
+    filters = tuple(map(_blur_weights, half * width / _ACTIVE_US))
+    matrices = np.stack([_YIQ, np.linalg.inv(_YIQ)]).astype(np.float32)
+    in_parts(
+        height,
+        lambda _, begin, end: _composite_rows(begin, end, shares, curve, matrices, filters),
+    )
+
+
+def _counts(shares: Singles, curve: Segments, full: Any) -> Picture:
+    """Return (height, width, 3) counts of (height, 3 width) shares: curve, black level, gain and
+    rounding."""
+    height, width = len(shares), shares.shape[1] // 3
     most = 2**full.bits - 1
     counts: Picture = np.empty((height, width, 3), np.uint8 if full.bits == 8 else np.uint16)
     flat = counts.reshape(height, -1)
@@ -219,7 +243,7 @@ def expose(
         flat[begin:end].reshape(-1)[:] = whole
 
     in_parts(height, counted)
-    return _compressed(counts, full.jpeg_quality) if isinstance(full.jpeg_quality, int) else counts
+    return counts
 
 
 def _on_the_chip(light: Singles, full: Any, rng: np.random.Generator) -> Singles:

@@ -29,7 +29,6 @@ from twin.world.picture.backend import FORCE, Variant
 from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
-from twin.world.picture.highlights import add_highlights
 from twin.world.picture.lamps import Lamps
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
 from twin.world.picture.picture_job import PictureJob, Shader
@@ -286,6 +285,8 @@ class Renderer:
         seen += marks * self._view.vignette.ravel().take(job.pixels)[:, None]
         there[job.pixels] = seen
         if markers.gloss is not None and self.scene.imaging[1].ambient < 1:
+            from twin.world.picture.highlights import add_highlights
+
             add_highlights(light, markers, job, self.scene, self._view)
         self._add_specks(light, markers, cover)
         return light
