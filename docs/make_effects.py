@@ -37,6 +37,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "bubbles": {"camera.bubbles": RIMS},
     "dust in rubber": {"camera.dust": {**SPECKS, "depth_mm": 10}},
     "bubbles in rubber": {"camera.bubbles": {**RIMS, "depth_mm": 10}},
+    "shadows on cover": {"cover.shadows": True},
     "probe seen": {"cover.transmittance": 0.3, "press.albedo": [0.5, 0.4, 0.3]},
     "light outside": {"cover.transmittance": 0.3, "light.outside": [0.1, 0.1, 0.1]},
     "dispersion": {"material.abbe_number": 50, "camera.layers": [GLASS]},

@@ -106,6 +106,9 @@ class Cover(Part):
         Whether pictures show how a press tilts and lifts it. At the papers' albedo that is less
         than a count, and it costs a field at some thousand places; so it is left out unless asked
         for.
+    shadows
+        Whether the fast renderers draw the markers' shadows on it, and how a press moves it; paths
+        always do the first. Dots close before a bright cover have dark ones beside them.
     youngs_modulus_mpa, poisson_ratio
         Its own modulus, MPa, and Poisson's ratio; those of the body if not given.
     """
@@ -114,6 +117,7 @@ class Cover(Part):
     albedo: tuple[Share, Share, Share] = (0.03, 0.03, 0.03)
     transmittance: Share = 0.0
     deforms: Flag = False
+    shadows: Flag = False
     youngs_modulus_mpa: float | None = Field(default=None, ge=LEAST_MPA, le=1e6)
     poisson_ratio: float | None = Field(default=None, ge=-0.5, le=0.5)
 
@@ -125,6 +129,11 @@ class Cover(Part):
                 "more light would leave the cover than falls on it; their sum must be at most 1"
             )
         return self
+
+    @property
+    def moves(self) -> bool:
+        """Whether pictures show how a press moves it."""
+        return self.deforms or self.shadows
 
     @property
     def has_own_material(self) -> bool:

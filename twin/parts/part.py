@@ -45,6 +45,7 @@ LATER: dict[str, object] = {
     "distortion": 0.0,
     "thickness_mm": 0.0,
     "deforms": False,
+    "shadows": False,
     "law": "linear",
     "law_ratios": [],
     "relaxation": [],

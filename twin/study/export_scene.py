@@ -61,7 +61,7 @@ def _readme(scene: Scene, middle_mm: float, files: list[Path], brighter: float) 
         "the shift of colours, blur, noise and compression by the CCD (`[ccd]`)",
     ]
     cover = scene.cover
-    if cover is not None and cover.transmittance and not cover.deforms:
+    if cover is not None and cover.transmittance and not cover.moves:
         left_out += [
             "that the probe lifts the cover (`cover.deforms`): it stands out of the cover, which "
             "it shadows beside it, by some per cent of the picture"

@@ -723,15 +723,12 @@ class Sensor:
         return Pattern.drawn(self.nominal.ccd, (camera.height_px, camera.width_px), own)
 
     def _linear_only(self) -> str:
-        """Return what needs a linear body: covers, beads or the cover's picture; empty if nothing
-        does."""
+        """Return what needs a linear body: covers or beads; empty if nothing does."""
         cover = self.nominal.cover
         if self.nominal.material.relaxation:
             return "material.relaxation"
         if self.stiff_beads is not None:
             return "markers with stiff = true"
-        if cover is not None and cover.deforms:
-            return "cover.deforms = true"
         if cover is not None and cover.has_own_material:
             return "a cover with a modulus of its own"
         return ""

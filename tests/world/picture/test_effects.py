@@ -36,7 +36,7 @@ def test_what_is_off_changes_no_description():
     assert "abbe_number" not in identity(table["material"])
     assert "dust" not in identity(table["camera"])
     assert not {"gloss", "texture"} & set(identity(table["markers"]["red"]))
-    assert "transmittance" not in identity(table["cover"])
+    assert not {"transmittance", "shadows"} & set(identity(table["cover"]))
     new = ("pixels", "row", "column", "haze", "ghost", "smear", "flicker", "auto", "balance", "adc", "bits")
     assert not [key for key in identity(table["ccd"]) if any(part in key for part in new)]
 
@@ -668,3 +668,47 @@ def test_light_of_the_surroundings_comes_through_but_for_the_probe():
 def test_leds_that_the_window_mirrors_over_the_picture_are_said_to_darken_it():
     with pytest.warns(AccuracyWarning, match=r"mirrors the LEDs .* all else is 2\.1 times darker"):
         twin.Sensor(twin.load_scene("gelpad_press", {"light.radius_mm": 1})).picture(None)
+
+
+# Shadows on the cover
+
+
+@pytest.mark.parametrize("lift_mm", [0.0, 0.4])
+def test_a_disc_has_a_shadow_on_the_cover_where_arithmetic_has_it(lift_mm):
+    """Of an LED in the rubber, which no refraction moves: as far from it as similar triangles say."""
+    led, disc, depth, radius = np.array([6.0, 2.0, 30.0]), np.array([0.2, -0.1, 4.0]), 0.2, 0.3
+    plain = changed(
+        block(),
+        light={"positions_mm": (tuple(led),), "ambient": 0.0},
+        cover={"albedo": (0.5, 0.5, 0.5), "deforms": True, "thickness_mm": depth},
+    )
+    marker = beads([disc], radius_mm=radius)
+    marker = replace(marker, axes=marker.axes * [1, 1, 0.01])
+    light = []
+    for scene in (plain, changed(plain, cover={"shadows": True})):
+        renderer = Renderer(scene, marker, SPLAT, subpixels=4)
+        n = len(renderer.background.points)
+        motion = CoverMotion(displacement_mm=np.tile([0, 0, lift_mm], (n, 1)), gradient=np.zeros((n, 3, 3)))
+        light.append(renderer.radiance(marker, motion if lift_mm else None)[:, :, 1])
+    lost = 1 - light[1] / light[0]
+    grown = (led[2] - depth - lift_mm) / (led[2] - disc[2])
+    centre = led + grown * (disc - led)
+    place, beside, below = seen_at(centre + np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0)]), plain)
+    area = np.pi * (grown * radius) ** 2 * abs(np.linalg.det([beside - place, below - place])) * 1e4
+    assert lost.sum() == pytest.approx(area, rel=0.01)
+    rows, columns = np.indices(lost.shape)
+    assert_allclose([np.sum(lost * columns), np.sum(lost * rows)] / lost.sum(), place, atol=0.05)
+    assert lost.max() == pytest.approx(1, abs=1e-3), "all light of the one LED is lost"
+
+
+def test_paths_have_the_same_shadows_on_the_cover():
+    scene = changed(block(), light={"ambient": 0.0}, cover={"albedo": (0.3, 0.3, 0.3)})
+    some = beads([(-0.8, 0.3, 2.0), (0.1, -0.4, 4.0), (0.9, 0.5, 1.0)], colour=(0.01, 0.01, 0.01))
+    path = changed(scene, accuracy={"paths": 1024}).model_copy(update={"renderer": "path"})
+    theirs = Renderer(path, some, mitsuba()).radiance(some)
+    without, ours = (
+        Renderer(changed(scene, cover={"shadows": on}), some, SPLAT, subpixels=4).radiance(some) for on in (False, True)
+    )
+    assert ours.mean() == pytest.approx(theirs.mean(), rel=0.01)
+    off, on = (np.sqrt(np.mean((each - theirs) ** 2)) / theirs.mean() for each in (without, ours))
+    assert on < 0.25 * off

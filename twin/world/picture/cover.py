@@ -3,13 +3,15 @@
 A press tilts the black cover and moves it towards the camera, so that it takes other light. Both
 are smooth, so they are computed on a coarse grid of rays and multiply the picture of the cover at
 rest. Where LEDs stand all around the lens, a bulge changes even a grey cover by a count or less.
+Markers' shadows on the cover are ellipses for each LED, drawn as markers are.
 
 Through rubber without a cover, or with one that passes light, the camera sees probes and the
 surroundings. A ray goes straight on into a probe that stands below the surface at rest; elsewhere
 it leaves the rubber there, as Snell's law bends it, through a gap of air.
 
 Validity: the change is first order in the displacement; detail finer than the grid, at the rim of a
-contact, is smoothed; the cover takes no shadows, as it is nearly black, and probes take none.
+contact, is smoothed; shadows are first order in a marker's size over its distance from the LED;
+the cover takes none unless `Cover.shadows`, as it is nearly black, and probes take none.
 Light reaches probes as if the rubber went on to them, outlines are sharp to a pixel, and what
 stands in the rubber counts as touching it. Behind the gap a probe is brighter than in touch, by the
 index squared, as all of its light that enters the rubber comes within the critical angle.
@@ -17,18 +19,19 @@ index squared, as all of its light that enters the rubber comes within the criti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from twin.arrays import Bools, Floats, Ints, Pixels, Points, Singles
 from twin.parts.body import Body
 from twin.parts.camera import Camera
 from twin.parts.load import Load
 from twin.parts.scene import Scene
-from twin.theory.optics import rays, reflection
+from twin.theory.optics import project, rays, reflection
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import Lamps
 
@@ -44,6 +47,9 @@ _WITHIN_MM = 1e-6
 
 _HALVINGS = 6
 """Of the way to the body's edge between two of them: to a third of a pixel."""
+
+_THIN = 0.05
+"""Thickness of a shadow over its width."""
 
 _CELLS = 400
 """Cells along and across what the camera sees of a probe, as triangles."""
@@ -116,7 +122,7 @@ class Background:
             depth = scene.cover.thickness_mm
             points, normals = _places_at(origins, directions, scene.body, depth, _WITHIN_MM)
             self._draw_to_edge(nodes, points, normals, depth)
-        self.deforms = scene.cover is not None and scene.cover.deforms
+        self.deforms = scene.cover is not None and scene.cover.moves
         """Whether pictures show how a press moves the cover."""
         self._met = np.isfinite(points[:, 0])
         self._along = directions[self._met]
@@ -150,7 +156,7 @@ class Background:
     @staticmethod
     def moves(scene: Scene) -> bool:
         """Return whether pictures show the motion of a cover, or of specks in the rubber."""
-        deforms = scene.cover is not None and scene.cover.deforms
+        deforms = scene.cover is not None and scene.cover.moves
         return deforms or bool(scene.imaging[0].in_rubber)
 
     @cached_property
@@ -192,24 +198,107 @@ class Background:
         """(k, 3) numbers of the places that make up triangles between the grid's rays."""
         return _between(self._met.reshape(len(self._rows), len(self._columns)))
 
-    def change(self, motion: CoverMotion) -> Singles:
+    def shadows(self, markers: Ellipsoids, motion: CoverMotion | None) -> list[Ellipsoids]:
+        """Return the shadows of markers on the cover for each LED, as thin ellipsoids that lie on
+        it; none unless the cover shows them.
+
+        Notes
+        -----
+        From the LED's image P, a marker of centre c and semi-axes a has its shadow about the place
+        q where the ray from P through c meets the cover, of normal n: its semi-axes are those of
+        |q - P| / |c - P| (a - d (n . a) / (n . d)), d the ray's direction.
+        """
+        scene = self._scene
+        if scene.cover is None or not scene.cover.shadows or scene.imaging[1].ambient == 1:
+            return []
+        present = markers.rows(markers.present)
+        lamps = Lamps.at(present.centres, scene)
+        found = []
+        for source, power in zip(np.moveaxis(lamps.place, 1, 0), lamps.power.T, strict=True):
+            along = present.centres - source
+            near = np.linalg.norm(along, axis=1)
+            along /= near[:, None]
+            places, normals = _places_at(
+                present.centres, along, scene.body, scene.cover.thickness_mm
+            )
+            lit = (power > 0) & np.isfinite(places[:, 0])
+            places, normals, along = places[lit], normals[lit], along[lit]
+            if motion is not None and lit.any():
+                ahead, turned = self._moved_at(places, motion)
+                places = places + along * (ahead / np.sum(along * normals, axis=1))[:, None]
+                normals = turned
+            grown = np.linalg.norm(places - source[lit], axis=1) / near[lit]
+            axes = present.axes[lit]
+            across = (
+                np.einsum("ni,nij->nj", normals, axes) / np.sum(along * normals, axis=1)[:, None]
+            )
+            axes = grown[:, None, None] * (axes - along[:, :, None] * across[:, None])
+            turns, sizes, _ = np.linalg.svd(axes)
+            sizes[:, 2] = _THIN * sizes[:, 1]
+            shapes = present.rows(lit)
+            found.append(replace(shapes, centres=places, axes=turns * sizes[:, None]))
+        return found
+
+    def _moved_at(self, places: Points, motion: CoverMotion) -> tuple[Floats, Floats]:
+        """Return how far the cover has moved inwards at (n, 3) places of it, mm, and its (n, 3)
+        unit normals then, between the grid's rays."""
+        ahead = np.einsum("ni,ni->n", motion.displacement_mm[: len(self.points)], self.normals)
+        known = np.column_stack([ahead, motion.turned(self.normals)])
+        grid = known[self._nearest].reshape(len(self._rows), len(self._columns), 4)
+        column, row = project(places, *self._scene.optics).T
+        at = [
+            np.interp(value, nodes, np.arange(len(nodes)))
+            for value, nodes in ((row, self._rows), (column, self._columns))
+        ]
+        found = np.stack(
+            [map_coordinates(grid[:, :, k], at, order=1, mode="nearest") for k in range(4)]
+        )
+        return found[0], (found[1:] / np.linalg.norm(found[1:], axis=0)).T
+
+    @cached_property
+    def _nearest(self) -> Ints:
+        """(r * c,) number of the place met that is nearest to each of the grid's rays."""
+        met = self._met.reshape(len(self._rows), len(self._columns))
+        number = np.where(met, np.cumsum(met).reshape(met.shape) - 1, -1)
+        _, nearest = distance_transform_edt(~met, return_indices=True)
+        return np.asarray(number[tuple(nearest)].ravel())
+
+    def change(self, motion: CoverMotion | None, hidden: Sequence[Singles] = ()) -> Singles:
         """Return (height, width, k) factors on the light of the cover at rest, k of `Light.tints`.
+
+        Parameters
+        ----------
+        motion
+            How it has moved; None: it is at rest.
+        hidden
+            The (height, width) share of each pixel that lies in `shadows`, for each LED.
 
         Notes
         -----
         A ray meets the moved surface where it has come (u . n) / (d . n) farther along its
         direction d.
         """
-        displacement_mm = motion.displacement_mm[: len(self.points)]
-        ahead = np.einsum("ni,ni->n", displacement_mm, self.normals)
-        ahead = ahead / np.einsum("ni,ni->n", self._along, self.normals)
-        moved = self.points + self._along * ahead[:, None]
-        normals = motion.turned(self.normals)
         before = _brightness(self.points, self.normals, self._scene, self._top)
+        moved, normals = self.points, self.normals
+        if motion is not None:
+            displacement_mm = motion.displacement_mm[: len(self.points)]
+            ahead = np.einsum("ni,ni->n", displacement_mm, normals)
+            ahead = ahead / np.einsum("ni,ni->n", self._along, normals)
+            moved, normals = moved + self._along * ahead[:, None], motion.turned(normals)
         after = _brightness(moved, normals, self._scene, self._top)
-        factor = np.ones((after.shape[1], len(self._met)))
-        factor[:, self._met] = (after / np.maximum(before, 1e-12)).T
-        grid = factor.reshape(-1, len(self._rows), len(self._columns))
+        factor = np.ones((len(self._met), after.shape[1]))
+        factor[self._met] = after / np.maximum(before, 1e-12)
+        bright = self._between_rays(factor)
+        if hidden and len(self.points):
+            each, _ = _lit_by(moved, normals, self._scene, self._top)
+            for light, share in zip(each, hidden, strict=True):
+                lost = (light / np.maximum(before, 1e-12))[self._nearest]
+                bright -= self._between_rays(lost) * share[:, :, None]
+        return bright
+
+    def _between_rays(self, values: Floats) -> Singles:
+        """Return (height, width, k) values between the grid's rays, from (r * c, k) there."""
+        grid = values.T.reshape(-1, len(self._rows), len(self._columns))
         smooth = stretch(self._rows, self._size[0]) @ grid @ stretch(self._columns, self._size[1]).T
         return np.moveaxis(smooth, 0, 2).astype(np.float32)
 
@@ -428,9 +517,16 @@ def _places_at(
 def _brightness(points: Points, normals: Floats, scene: Scene, top: float) -> Floats:
     """Return (n, k) light that white places of the cover send back, a share of even light
     included."""
+    each, even = _lit_by(points, normals, scene, top)
+    bright: Floats = each.sum(axis=0) + even
+    return bright
+
+
+def _lit_by(points: Points, normals: Floats, scene: Scene, top: float) -> tuple[Floats, Floats]:
+    """Return (leds, n, k) light of each LED that white places of the cover send back, and the (k,)
+    even light."""
     _, light = scene.imaging
     tints, even = light.tints()
-    lamps = Lamps.at(points, scene)
-    direct = [lamps.times(tint).irradiance(points, normals) / top for tint in tints]
-    bright: Floats = (1 - light.ambient) * np.column_stack(direct) + light.ambient * even
-    return bright
+    each = Lamps.at(points, scene).irradiances(points, normals) / top
+    direct = (1 - light.ambient) * each.T[:, :, None] * tints.T[:, None]
+    return direct, light.ambient * even

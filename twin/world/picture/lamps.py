@@ -121,10 +121,13 @@ class Lamps:
 
     def irradiance(self, points: Points, normals: Floats) -> Floats:
         """Return (n,) unshadowed irradiance at points with unit normals."""
+        return np.asarray(self.irradiances(points, normals).sum(axis=1))
+
+    def irradiances(self, points: Points, normals: Floats) -> Floats:
+        """Return the (n, leds) parts of `irradiance`."""
         towards = self.place - points[:, None]
         cosine = np.maximum(np.einsum("nli,ni->nl", towards, normals), 0.0)
-        total: Floats = np.sum(self.power * cosine / np.linalg.norm(towards, axis=2) ** 3, axis=1)
-        return total
+        return np.asarray(self.power * cosine / np.linalg.norm(towards, axis=2) ** 3)
 
 
 _STEP_MM = 1e-4

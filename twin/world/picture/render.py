@@ -273,8 +273,11 @@ class Renderer:
         """Return the picture: (m, 3) light of markers, and their highlights, over what they leave
         free of the cover, and specks and veil over both."""
         light = self._view.cover.copy()
-        if cover is not None and self.background is not None and self.background.deforms:
-            light *= self.background.change(cover)
+        if self.background is not None and self.background.deforms:
+            shadows = self.background.shadows(markers, cover)
+            hidden = [self._drawn(shapes, self._unit)[1] for shapes in shadows]
+            if cover is not None or hidden:
+                light *= self.background.change(cover, hidden)
         if (behind := self._view.behind(() if cover is None else cover.probes)) is not None:
             light += behind
         if markers.texture is not None:
@@ -316,7 +319,10 @@ class Renderer:
         """Return the (height, width, 3) light of ellipsoids without shadows, before vignetting and
         gain, and the (height, width) share of each pixel that they cover."""
         job = self._job(shapes, self.subpixels, shadows=False, unit_mm=unit_mm)
-        light, free = Splat(self._view, unit_mm, self.scene.imaging[1].ambient).shade(job)
+        splat = self._splat
+        if unit_mm != self._unit:
+            splat = Splat(self._view, unit_mm, self.scene.imaging[1].ambient)
+        light, free = splat.shade(job)
         bright = np.zeros_like(self._view.cover)
         covered = np.zeros(bright.shape[:2], np.float32)
         bright.reshape(-1, 3)[job.pixels] = light
