@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.sparse import block_diag, bmat, csr_matrix, eye, kron, random_array
+from scipy.sparse import bmat, csr_matrix, eye, random_array
 from standard_bodies import FINGER, assert_near
 
 from twin.errors import SolveError
@@ -164,19 +164,6 @@ def test_indefinite_system_is_solved_to_the_dense_answer(solver):
     factor.solve(right[:, 0])
     assert factor.residual < LIMIT
     assert Factor.made == before + 1
-
-
-def test_unknowns_that_come_last_have_the_stiffness_that_the_others_leave_them():
-    """Two plates of 400 nodes, one of them held, that meet nowhere; the last ones lie on both, in no order."""
-    line = eye(20) * 2.0 - eye(20, k=1) - eye(20, k=-1)
-    plate = kron(line, eye(20)) + kron(eye(20), line)
-    matrix, last = csr_matrix(block_diag([plate, plate + eye(400)])), np.array([700, 3, 55, 401, 399])
-    factor = Factor(matrix, np.zeros(800), node=np.arange(800) // 2, last=last)
-    whole = np.linalg.inv(matrix.toarray())
-    np.testing.assert_allclose(factor.schur, np.linalg.inv(whole[np.ix_(last, last)]), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(factor.compliance, whole[np.ix_(last, last)], rtol=1e-9, atol=1e-12)
-    right = np.random.default_rng(2).normal(size=(800, 2))
-    np.testing.assert_allclose(factor.solve(right), whole @ right, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("solver", Factor.solvers())

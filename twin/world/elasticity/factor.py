@@ -4,8 +4,9 @@ At nu = 1/2 the Taylor-Hood matrix is indefinite with a zero block, and factorin
 which destroys the sparsity. Subtracting a tiny multiple of the pressure mass from that block makes
 the matrix quasi-definite, so that any symmetric order factors without pivoting (R. J. Vanderbei
 1995, SIAM J. Optim. 5); a few steps of refinement against the true matrix remove the shift's
-effect. `_Fronts` does this everywhere. It takes 0.45 to 0.7 of SuperLU's time (98 000 and 9 000
-unknowns); Intel's Pardiso, where ``pypardiso`` is installed, took 0.4. Every residual is
+effect. SciPy's SuperLU does this everywhere, in METIS's nested dissection of the nodes (G. Karypis
+and V. Kumar 1998), which halves the time and the memory of its own order; Intel's Pardiso, where
+``pypardiso`` is installed, factors in 0.4 of the time (8 000 and 23 000 nodes). Every residual is
 checked, because sparse solvers have been seen to return garbage silently."""
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from twin.arrays import Floats, Ints
 from twin.blas_threads import hold_new_library
 from twin.errors import MissingCapability, SolveError
 
-Solver = Literal["auto", "fronts", "pardiso"]
+Solver = Literal["auto", "superlu", "pardiso"]
 Apply = Callable[[Floats], Floats]
 
 SHIFT = 1e-6
@@ -40,10 +41,6 @@ LENIENCE = 1e3
 """How many times the residual may exceed its limit for a long solution at most: without this bound
 a body that can drift is "solved" to 1e14 mm."""
 
-_SMALL, _PART = 120, 192
-"""Unknowns of a branch of the elimination tree that is one front; rows of a triangle that are
-computed together."""
-
 
 class Factor:
     """A factored symmetric saddle-point matrix.
@@ -56,12 +53,13 @@ class Factor:
         (n,) zero on displacement rows; on pressure rows the positive size of their Schur
         complement's diagonal.
     solver
-        ``fronts`` is always there, ``pardiso`` needs pypardiso, ``auto`` takes that if it is there.
+        ``superlu`` is always there, ``pardiso`` needs pypardiso, ``auto`` takes the faster one that
+        is there.
     node
         (n,) node that each unknown belongs to: the order keeps a node's unknowns together. Each its
         own if not given.
     last
-        Unknowns that are eliminated last, by ``fronts``, for `schur`.
+        Unknowns that are eliminated last, by ``superlu``, for `schur`.
 
     Raises
     ------
@@ -77,7 +75,7 @@ class Factor:
     @staticmethod
     def solvers() -> tuple[Solver, ...]:
         """Return the solvers of this machine, fastest first."""
-        return ("pardiso", "fronts") if find_spec("pypardiso") else ("fronts",)
+        return ("pardiso", "superlu") if find_spec("pypardiso") else ("superlu",)
 
     def __init__(
         self,
@@ -101,19 +99,24 @@ class Factor:
         self._matrix = (scaling @ matrix @ scaling).tocsr()
         shifted = self._matrix - diags(SHIFT * pressure_scale * self._root**2)
         if last is not None:
-            solver = "fronts"
+            solver = "superlu"
         self.solver: Solver = self.solvers()[0] if solver == "auto" else solver
         self.residual = 0.0
         Factor.made += 1
         if self.solver == "pardiso":
             self._apply = _pardiso(shifted)
         else:
-            every = np.arange(len(diagonal))
-            none = every[:0] if last is None else last
-            fronts = _Fronts(shifted, every if node is None else node, none)
-            self._apply = fronts.apply
+            first = np.arange(len(diagonal))
+            node = first if node is None else node
+            first = first if last is None else np.delete(first, last)
+            order = first[_dissection(shifted[first][:, first], node[first])]
             if last is not None:
-                self.schur = fronts.schur / np.outer(self._root[last], self._root[last])
+                order = np.concatenate([order, last])
+            self._apply, factor = _superlu(shifted, order)
+            if last is not None:
+                self.schur = _last_block(factor, len(last)) / np.outer(
+                    self._root[last], self._root[last]
+                )
                 """(m, m) Stiffness of the ``last`` unknowns while nothing acts on the others."""
 
     @cached_property
@@ -194,123 +197,9 @@ def _cause(solution: Floats) -> str:
     )
 
 
-class _Fronts:
-    """A symmetric matrix (n, n) that needs no pivoting, factored front by front (I. S. Duff and
-    J. K. Reid 1983, ACM Trans. Math. Softw. 9).
-
-    A front is a dense matrix of unknowns that are eliminated together and of those that these leave
-    something for. It takes what earlier fronts leave, and what it leaves itself goes to the front
-    of the next unknown that is eliminated. METIS's nested dissection of the nodes (G. Karypis and
-    V. Kumar 1998) gives the order. Most of the work on a body is products of large dense matrices.
-
-    Parameters
-    ----------
-    matrix, node
-        See `Factor`.
-    last
-        Unknowns that are eliminated after all fronts.
-
-    Attributes
-    ----------
-    schur
-        (m, m) what is left for the ``last`` unknowns.
-    """
-
-    def __init__(self, matrix: Any, node: Ints, last: Ints) -> None:
-        from scipy.linalg import lapack
-
-        self._solve = lapack.dgetrs
-        first = np.delete(np.arange(len(node)), last)
-        order, ends, takers = _dissection(matrix[first][:, first], node[first])
-        self._order = np.concatenate([first[order], last])
-        self._inner = len(first)
-        ordered = matrix[self._order][:, self._order].tocsr()
-        self._eliminated: list[tuple[int, int, Ints, Floats, Ints, Floats]] = []
-        left: list[list[tuple[Ints, Floats]]] = [[] for _ in range(len(takers) + 1)]
-        met = np.zeros(len(node), bool)
-        number = np.zeros(len(node), np.intp)
-        for front, taker in enumerate(takers):
-            begin, end = int(ends[front]), int(ends[front + 1])
-            size = end - begin
-            # The front's unknowns: its own, then others that these meet.
-            entries = slice(*ordered.indptr[[begin, end]])
-            row = np.repeat(np.arange(size), np.diff(ordered.indptr[begin : end + 1]))
-            column, value = ordered.indices[entries], ordered.data[entries]
-            later = column >= begin
-            row, column, value = row[later], column[later], value[later]
-            for others, _ in (*left[front], (column, None)):
-                met[others] = True
-            met[begin:end] = False
-            beyond = begin + np.flatnonzero(met[begin:])
-            met[beyond] = False
-            number[begin:end], number[beyond] = np.arange(size), np.arange(len(beyond))
-            # Of both square blocks only the upper triangle counts.
-            own, coupling = np.zeros((size, size)), np.zeros((len(beyond), size)).T
-            inside = column < end
-            own[row[inside], number[column[inside]]] = value[inside]
-            inside = ~inside
-            coupling[row[inside], number[column[inside]]] = value[inside]
-            rest: Floats | None = None
-            for others, block in left[front]:
-                count = int(np.searchsorted(others, end))
-                here, there = number[others[:count], None], number[others[count:]]
-                own[here, here.T] += block[:count, :count]
-                coupling[here, there] += block[:count, count:]
-                if rest is None and len(there) == len(beyond):
-                    rest = block[count:, count:]
-            rest = np.zeros((len(beyond), len(beyond))) if rest is None else rest
-            for others, block in left[front]:
-                count = int(np.searchsorted(others, end))
-                if not np.may_share_memory(block, rest):
-                    _add_upper(rest, block[count:, count:], number[others[count:]])
-            left[front] = []
-            # Eliminate its own.
-            lower = np.tril_indices(size, -1)
-            own[lower] = own.T[lower]
-            factors, pivots, failed = lapack.dgetrf(own.T, overwrite_a=True)
-            if failed:
-                raise SolveError("the elastic system is singular: is the body held anywhere?")
-            carried, _ = self._solve(factors, pivots, coupling)
-            for part in range(0, len(beyond), _PART):
-                after = coupling[:, part : part + _PART].T @ carried[:, part:]
-                rest[part : part + _PART, part:] -= after
-            self._eliminated.append((begin, end, beyond, factors, pivots, carried))
-            left[taker].append((beyond, rest))
-        upper = ordered[self._inner :, self._inner :].toarray()
-        for others, block in left[-1]:
-            _add_upper(upper, block, others - self._inner)
-        self.schur = np.triu(upper) + np.triu(upper, 1).T
-        if len(last):
-            self._last_factors, self._last_pivots, _ = lapack.dgetrf(self.schur)
-
-    def apply(self, right: Floats) -> Floats:
-        """Return the solution (n, m)."""
-        found: Floats = right[self._order]
-        for begin, end, beyond, _, _, carried in self._eliminated:
-            found[beyond] -= carried.T @ found[begin:end]
-        if len(self.schur):
-            at_last = found[self._inner :]
-            at_last[:] = self._solve(self._last_factors, self._last_pivots, at_last)[0]
-        for begin, end, beyond, factors, pivots, carried in reversed(self._eliminated):
-            own = self._solve(factors, pivots, found[begin:end])[0]
-            found[begin:end] = own - carried @ found[beyond]
-        out = np.empty_like(found)
-        out[self._order] = found
-        return out
-
-
-def _add_upper(whole: Floats, block: Floats, place: Ints) -> None:
-    """Add the upper triangle of a block (m, m) to a matrix at ascending places (m,); what lies
-    below the diagonal of the matrix doesn't count."""
-    for part in range(0, len(place), _PART):
-        here = place[part : part + _PART, None]
-        whole[here, place[part:]] += block[part : part + _PART, part:]
-
-
-def _dissection(matrix: Any, node: Ints) -> tuple[Ints, Ints, list[int]]:
-    """Return the (n,) order of the unknowns in which the nodes' graph is dissected again and again,
-    where in it fronts (f) begin and end (f + 1,), and the front that takes what each leaves; -1 if
-    none does."""
+def _dissection(matrix: Any, node: Ints) -> Ints:
+    """Return the (n,) order of the unknowns in which the nodes' graph is dissected again and
+    again."""
     import pymetis
     from scipy.sparse import csr_matrix
 
@@ -322,42 +211,43 @@ def _dissection(matrix: Any, node: Ints) -> tuple[Ints, Ints, list[int]]:
     graph = (gather.T @ pattern @ gather).tocsr()
     graph.setdiag(0)
     graph.eliminate_zeros()
-    count = graph.shape[0]
-    order = place = np.arange(count)
-    if graph.nnz:
-        starts, near = graph.indptr.astype(np.int32), graph.indices.astype(np.int32)
-        adjacency = pymetis.CSRAdjacency(starts, near)
-        order, place = (np.asarray(one) for one in pymetis.nested_dissection(adjacency=adjacency))
+    if graph.nnz == 0:
+        return np.arange(len(group))
+    adjacency = pymetis.CSRAdjacency(graph.indptr.astype(np.int32), graph.indices.astype(np.int32))
+    _, place = pymetis.nested_dissection(adjacency=adjacency)
+    return np.argsort(np.asarray(place)[group], kind="stable")
 
-    # The elimination tree: a node's parent is the next one that it leaves something for (J. W. H.
-    # Liu 1990, SIAM J. Matrix Anal. Appl. 11).
-    ordered = graph[order][:, order].tocsr()
-    starts, near = ordered.indptr.tolist(), ordered.indices.tolist()
-    parent, root = [-1] * count, [-1] * count
-    for one in range(count):
-        for other in near[starts[one] : starts[one + 1]]:
-            while -1 < other < one:
-                above, root[other] = root[other], one
-                if above == -1:
-                    parent[other] = one
-                other = above
-    # A front is a small branch of it, or nodes of large branches one above the other.
-    below = np.bincount(group)[order].tolist()
-    large = [0] * count
-    for one, above in enumerate(parent):
-        if above >= 0:
-            below[above] += below[one]
-            large[above] += below[one] > _SMALL
-    top = list(range(count))
-    for one in range(count - 1, -1, -1):
-        above = parent[one]
-        if above >= 0 and (below[above] <= _SMALL or (below[one] > _SMALL and large[above] == 1)):
-            top[one] = top[above]
-    tops, front = np.unique(top, return_inverse=True)
-    takers = [int(front[parent[one]]) if parent[one] >= 0 else -1 for one in tops.tolist()]
-    mine = front[place[group]]
-    ends = np.concatenate([[0], np.cumsum(np.bincount(mine))])
-    return np.lexsort((place[group], mine)), ends, takers
+
+def _superlu(matrix: Any, order: Ints) -> tuple[Apply, Any]:
+    from scipy.sparse.linalg import splu
+
+    ordered = matrix[order][:, order].tocsc()
+    try:
+        factor = splu(
+            ordered, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+    except RuntimeError as problem:
+        raise SolveError(
+            f"the elastic system is singular ({problem}): is the body held anywhere?"
+        ) from problem
+
+    def apply(right: Floats) -> Floats:
+        out = np.empty_like(right)
+        out[order] = factor.solve(np.ascontiguousarray(right[order]))
+        return out
+
+    return apply, factor
+
+
+def _last_block(factor: Any, count: int) -> Floats:
+    """Return the Schur complement (m, m) of the last unknowns, the product of the factors' last
+    blocks."""
+    for moved in (factor.perm_r, factor.perm_c):
+        if not np.array_equal(moved, np.arange(len(moved))):
+            raise SolveError("the elastic system was factored in another order than asked for")
+    lower: Floats = factor.L[-count:, -count:].toarray()
+    upper: Floats = factor.U[-count:, -count:].toarray()
+    return lower @ upper
 
 
 def _pardiso(matrix: Any) -> Apply:
@@ -367,7 +257,7 @@ def _pardiso(matrix: Any) -> Apply:
         from pypardiso import PyPardisoSolver
     except ImportError as problem:
         raise MissingCapability(
-            "the solver pardiso needs pypardiso: pip install pypardiso, or use the solver fronts"
+            "the solver pardiso needs pypardiso: pip install pypardiso, or use the solver superlu"
         ) from problem
     from pypardiso.pardiso_wrapper import PyPardisoError
 
