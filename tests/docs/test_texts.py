@@ -21,8 +21,9 @@ def test_what_is_to_be_opened_is_there():
     assert len(ROWS) > 15
     for change, files, names in ROWS:
         source = "\n".join((ROOT / file).read_text() for file in re.findall(r"`([^`]+)`", files))
-        for name in re.findall(r"`(\w+)`", names):
-            assert re.search(rf"^(class|def) {name}\b|^{name}\b[^\n]* =", source, re.MULTILINE), (change, files, name)
+        for name in ".".join(re.findall(r"`([\w.]+)[^`]*`", names)).split("."):
+            defined = rf"^ *(class|def) {name}\b|^ *{name}\b[^\n]*[=:]"
+            assert re.search(defined, source, re.MULTILINE), (change, files, name)
 
 
 def test_the_way_of_a_press_names_files():
