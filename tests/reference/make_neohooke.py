@@ -28,7 +28,7 @@ from pathlib import Path
 
 import ngsolve as ng
 import numpy as np
-from netgen.meshing import NgException
+from netgen.meshing import MeshingParameters, NgException
 from netgen.occ import Circle, Glue, MoveTo, OCCGeometry
 
 RADIUS, THICK = 47.5, 40.0
@@ -103,6 +103,37 @@ def meshed(parts, deep, below=lambda r, z: z):
             if np.abs(off).max() < 1e-6:
                 edge.name = name
     return ng.Mesh(OCCGeometry(glued, dim=2).GenerateMesh(maxh=6.0, grading=0.4))
+
+
+def linear_density(grad, p, shear=1.0 / 3.0):
+    """Energy per volume of incompressible rubber (E = 1 MPa) by linear theory; ``p`` is the pressure."""
+    strain = 0.5 * (grad + grad.trans)
+    return shear * ng.InnerProduct(strain, strain) + p * ng.Trace(grad)
+
+
+def neo_hookean_density(first, ratio, p, shear=1.0 / 3.0):
+    """The same at finite strain, of the first invariant less 3 and the ratio of volumes."""
+    return shear / 2.0 * (first + (ratio - 1.0) ** 2) + (p - shear) * (ratio - 1.0)
+
+
+def at_points(value, store, where):
+    """Return a term's values at the points of a boundary at which ``store`` keeps numbers."""
+    store.Interpolate(value, definedon=where)
+    return store.vec.FV().NumPy().copy()
+
+
+def half_mesh(body, names, places, fine, near, **settings):
+    """Return the mesh of half a body (y = 0 a plane of symmetry), elements as small as ``fine`` within ``near`` of
+    the places (r, z); ``names`` are tests of faces' lowest and highest corners by name, the first that holds counts."""
+    names = {"mirror": lambda low, high: max(abs(low.y), abs(high.y)) < 1e-3, **names, "side": lambda *_: True}
+    for face in body.faces:
+        face.name = next(name for name, holds in names.items() if holds(*face.bounding_box))
+    wanted = MeshingParameters(grading=0.35, **settings)
+    for r, z, depth in places:
+        for angle in np.linspace(0.0, math.pi, 9):
+            size = fine * max(1.0, math.hypot(r, z) / near)
+            wanted.RestrictH(r * math.cos(angle), r * math.sin(angle), z + depth, size)
+    return ng.Mesh(OCCGeometry(body).GenerateMesh(wanted))
 
 
 def newton(form, state, tolerance=1e-9):

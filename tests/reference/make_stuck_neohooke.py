@@ -12,16 +12,15 @@ linear path does not converge, so how good it is itself is not known.
 """
 
 import json
-import math
 from pathlib import Path
 
-import netgen.meshing
 import ngsolve as ng
 import numpy as np
-from netgen.occ import Box, Cylinder, OCCGeometry, Pnt, Z
+from make_neohooke import at_points, half_mesh, linear_density, neo_hookean_density
+from netgen.occ import Box, Cylinder, Pnt, Z
 
 BALL, RADIUS, THICK = 3.0, 28.0, 40.0
-SHEAR, SPRING = 1.0 / 3.0, 500.0
+SPRING = 500.0
 DEEP_MM, ASIDE_MM = 0.62, 0.25
 LINEAR_MM = 0.609112, 0.264518
 PARTS, LINEAR_PARTS = (8, 4), (4, 1)
@@ -37,23 +36,9 @@ PLACES = [
 def slab(fine):
     """The half y >= 0, elements small under the sphere."""
     body = Cylinder(Pnt(0, 0, 0), Z, RADIUS, THICK) * Box(Pnt(-RADIUS - 1, 0, 0), Pnt(RADIUS + 1, RADIUS + 1, THICK))
-    for face in body.faces:
-        low, high = face.bounding_box
-        if max(abs(low.y), abs(high.y)) < 1e-3:
-            face.name = "mirror"
-        elif high.z < 1e-3:
-            face.name = "touched"
-        elif low.z > THICK - 1e-3:
-            face.name = "held"
-        else:
-            face.name = "side"
-    settings = netgen.meshing.MeshingParameters(maxh=9.0, grading=0.35)
-    for r in np.arange(0.0, 2.9, 0.4):
-        for z in np.arange(0.0, 2.4, 0.4):
-            for angle in np.linspace(0.0, math.pi, 9):
-                size = fine * max(1.0, math.hypot(r, z) / 1.8)
-                settings.RestrictH(r * math.cos(angle), r * math.sin(angle), z, size)
-    return ng.Mesh(OCCGeometry(body).GenerateMesh(settings))
+    names = {"touched": lambda low, high: high.z < 1e-3, "held": lambda low, high: low.z > THICK - 1e-3}
+    dense = [(r, z, 0.0) for r in np.arange(0.0, 2.9, 0.4) for z in np.arange(0.0, 2.4, 0.4)]
+    return half_mesh(body, names, dense, fine, 1.8, maxh=9.0)
 
 
 class Sphere:
@@ -74,14 +59,11 @@ class Sphere:
         (u, p), form = self.space.TrialFunction(), ng.BilinearForm(self.space, symmetric=True)
         grad = ng.Grad(u)
         if linear:
-            strain = 0.5 * (grad + grad.trans)
-            density = SHEAR * ng.InnerProduct(strain, strain) + p * ng.Trace(grad)
+            density = linear_density(grad, p)
             self.normal = ng.CF((0.0, 0.0, 1.0))
         else:
             f = ng.Id(3) + grad
-            ratio = ng.Det(f)
-            density = SHEAR / 2.0 * (ng.InnerProduct(f, f) - 3.0) + (p - SHEAR) * (ratio - 1.0)
-            density += SHEAR / 2.0 * (ratio - 1.0) ** 2
+            density = neo_hookean_density(ng.InnerProduct(f, f) - 3.0, ng.Det(f), p)
             held = ng.CF(tuple(self.anchor))
             self.normal = held / ng.sqrt(held * held + 1e-12)
         # The saddle point is factored without pivots: a tiny compressibility, 1e-7, is added.
@@ -125,16 +107,11 @@ class Sphere:
     def remember(self):
         """Hold what has come to touch."""
         moved = self.state.components[0]
-
-        def at_points(value):
-            self.value.Interpolate(value, definedon=self.where)
-            return self.value.vec.FV().NumPy().copy()
-
         on = self.on.vec.FV().NumPy()
-        touches = at_points(ng.IfPos(-self.gap(moved), 1.0, 0.0)) > 0.5
+        touches = at_points(ng.IfPos(-self.gap(moved), 1.0, 0.0), self.value, self.where) > 0.5
         own = self.own(moved)
         for axis in range(3):
-            here = at_points(own[axis])
+            here = at_points(own[axis], self.value, self.where)
             held = self.anchor[axis].vec.FV().NumPy()
             held[touches & (on < 0.5)] = here[touches & (on < 0.5)]
         on[:] = touches

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import ngsolve as ng
 import numpy as np
-from make_neohooke import RADIUS, THICK, box, meshed, newton
+from make_neohooke import RADIUS, THICK, at_points, box, meshed, neo_hookean_density, newton
 
 BALL, REACH = 3.0, 1.7
 SHEAR, PENALTY, SPRING = 1.0 / 3.0, 4000.0, 1000.0
@@ -64,7 +64,7 @@ class Sphere:
             f = ng.Id(2) + grad
             ratio = ng.Det(f) * (1.0 + hoop)
             first = ng.InnerProduct(f, f) + (1.0 + hoop) ** 2 + (r + u[0]) ** 2 * (slope * slope) - 3.0
-            energy = SHEAR / 2.0 * first + (p - SHEAR) * (ratio - 1.0) + SHEAR / 2.0 * (ratio - 1.0) ** 2
+            energy = neo_hookean_density(first, ratio, p)
         form += ng.Variation(weight * energy * ng.dx(bonus_intorder=4))
         found = self.contact(u, t, d)
         pull, around = found["pull"], found["around"]
@@ -110,13 +110,8 @@ class Sphere:
     def remember(self):
         """Hold what touches where it is on the sphere, where it slips as far as friction carries it."""
         found = self.contact(*self.now())
-
-        def at_points(value):
-            self.value.Interpolate(value, definedon=self.where)
-            return self.value.vec.FV().NumPy().copy()
-
-        touches = at_points(found["touches"]) > 0.5
-        kept = [at_points(one) for one in found["kept"]]
+        touches, *kept = (at_points(one, self.value, self.where) for one in (found["touches"], *found["kept"]))
+        touches = touches > 0.5
         for held, now in zip(self.anchor, kept, strict=True):
             held.vec.FV().NumPy()[touches] = now[touches]
         self.on.vec.FV().NumPy()[:] = touches

@@ -22,6 +22,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
+from twin.parts.material import plane_strain_modulus
 from twin.parts.press import PATCHES_ACROSS, Cone, Sphere
 from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
@@ -266,7 +267,9 @@ def _on_rim(
             contacts = ContactProblem((setup,), (patches,))
             found = solve_frictionless(contacts, control, pose, np.array([touch_z]))
             force = float(found.total[Z])
-        pressed = face.pressed(force * (1.0 - setup.poisson_ratio**2) / setup.youngs_modulus_mpa)
+        pressed = face.pressed(
+            force / plane_strain_modulus(setup.youngs_modulus_mpa, setup.poisson_ratio)
+        )
     if pressed is None:
         return box.grown(-face.edge_mm / 2, -face.edge_mm / 2)
     return _square(*pressed.half_mm)._replace(face=pressed)

@@ -411,7 +411,7 @@ def _pass(
     history: ContactHistory,
     control: Control,
     guess: _Guess | None,
-    known: tuple[ContactHistory, Equilibrium] | None = None,
+    known: tuple[ContactHistory, Equilibrium] | None,
 ) -> tuple[ContactHistory, Equilibrium]:
     """Solve one part, with the patches that touch within it held by friction from where they
     touched; ``known`` is what it leads to where these slide, if that is solved."""

@@ -34,6 +34,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import ContactError
 from twin.parts.load import Load, Rectangles
+from twin.parts.material import plane_strain_modulus
 from twin.parts.press import Cone, Pillar, Sphere
 from twin.theory import halfspace
 from twin.world.contact.contact_problem import LoadProgramme, ProbeSetup
@@ -721,10 +722,15 @@ class _Border:
         beyond = Box.beyond_edge(side, self.setup.body.base_z_mm)
         missed = at_edge * (end - (0.5 - beyond)) * _areas(self.load)[patch]
         squared = self.state.pressure_mpa[patch] ** 2 * side / (4.0 * (1.0 - beyond))  # k^2
-        modulus = self.setup.youngs_modulus_mpa / (1.0 - self.setup.poisson_ratio**2)
-        whole = modulus * self.state.indentation_mm * float(np.linalg.norm(self.state.force_n))
-        off = 2.0 * math.pi * missed * squared / whole
+        off = 2.0 * math.pi * missed * squared / self._stiff_work
         return _ASTRAY * float(abs(off.sum()) + np.linalg.norm(off))
+
+    @property
+    def _stiff_work(self) -> float:
+        """E' times force times indentation, to which the squares of pressures are compared."""
+        setup, state = self.setup, self.state
+        modulus = plane_strain_modulus(setup.youngs_modulus_mpa, setup.poisson_ratio)
+        return modulus * state.indentation_mm * float(np.linalg.norm(state.force_n))
 
     @property
     def cut_error(self) -> float:
@@ -782,8 +788,7 @@ class _Border:
         # 3. The same share of this contact's force.
         rim = self.patches
         steeper = float(pressure[rim] @ pressure[rim] / np.sum((force / area)[rim] ** 2))
-        modulus = self.setup.youngs_modulus_mpa / (1.0 - self.setup.poisson_ratio**2)
-        whole = modulus * self.state.indentation_mm * float(np.linalg.norm(self.state.force_n))
+        whole = self._stiff_work
         share = steeper * float(force.sum()) * depth / whole if whole > 0.0 else 1.0
         return missed * max(1.0, share)  # less in rubber that has relaxed, whose modulus is less
 

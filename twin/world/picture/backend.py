@@ -275,7 +275,7 @@ def _verdict(library: str, variant: str = "llvm_ad_rgb") -> str:
     return verdict
 
 
-def _try(library: str, variant: str = "llvm_ad_rgb") -> str:
+def _try(library: str, variant: str) -> str:
     """Load a library, and Mitsuba on it, in a child process."""
     try:
         child = subprocess.run(

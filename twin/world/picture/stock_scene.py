@@ -120,7 +120,7 @@ class Triangles:
             both if self.opacity == 1 else {"type": "mask", "opacity": self.opacity, "inner": both}
         )
 
-    def as_ply(self, down_mm: float = 0.0) -> bytes:
+    def as_ply(self, down_mm: float) -> bytes:
         """Return the surface as a binary PLY file, with z smaller by ``down_mm``."""
         names = ("x", "y", "z", "nx", "ny", "nz", "r", "g", "b")
         corners = np.column_stack([self.places - [0, 0, down_mm], self.normals, self.colours])
