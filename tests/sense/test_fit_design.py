@@ -86,6 +86,13 @@ def test_parameters_are_found_within_their_stated_deviations():
     assert 0.6 < np.std(off) < 1.5
 
 
+def test_a_modulus_far_from_its_tolerance_is_not_held_there():
+    """Drawn .55 times as stiff, by a load cell whose errors leave as much open as the tolerance does."""
+    truth = np.array([15.0, -0.7, 0.4])
+    found = Fit.of(Drawing(), measured(truth, 3, cell=0.1))
+    assert found.scaled[0] == pytest.approx(truth[0], abs=3 * found.covariance[0, 0] ** 0.5)
+
+
 def test_presses_beside_their_places_do_not_count_as_another_rubber():
     """A stage that is .02 mm off leaves no error of the model, and the rubber as it is."""
     truth = np.array([1.0, -0.7, 0.4])

@@ -59,6 +59,11 @@ of the nominal mesh and of the contact's shape. Nine fits were off by 0.0003 to 
 where noise leaves 0.0016 to 0.0030.
 And of a fitted thickness: gel pads of 4 mm come out 0.011 mm too thin, 0.007 on a finer mesh."""
 
+OWN_LEFT, MOST_OFF = 0.025, 0.99
+"""Share of the motion that sound presses leave unexplained next to them (0.01 to 0.023 on gel pads
+of 3.6 to 4.2 mm), which does not err totals; and the largest error of a fitted scale that is
+stated."""
+
 FIRST_EXPOSURE = 1000
 """Calibration pictures are exposures from here on, so that they share no noise with any press."""
 
@@ -78,8 +83,16 @@ OFF_GRID = 0.25
 SMALLEST_SHARE = 0.5
 """Share of the markers that the rest picture must show."""
 
-DISAGREE = 0.5
-"""Median error of presses predicted from the others, over their motion, from which to warn."""
+DISAGREE = 0.1
+"""Median error of presses predicted from the others, over their motion, from which to warn. Sound
+recordings have 0.01 to 0.04."""
+
+MISTAKEN, SURE = 0.7, 0.8
+"""Columns of the table are swapped or of the wrong sign where motion agrees with them as given less
+than this times as well as with the mended ones, and with these by this correlation at least."""
+
+SPREAD = 3.0
+"""How much further apart than in the table motion shows the presses where its unit is wrong."""
 
 UNSTATED = 1.5
 """Errors of the presses' total forces over the stated ones, root mean square, from which to
@@ -184,8 +197,8 @@ def _agreement(made: Calibration) -> list[str]:
     ]
     if usual > DISAGREE:
         lines.append(
-            "warning the presses do not fit this sensor, so its forces will be wrong: "
-            f"{FittedDesign.CHECK}"
+            "warning the presses do not fit this sensor well: its forces may be "
+            f"{100 * usual:.0f} % off, as they state, or more; {FittedDesign.CHECK}"
         )
     return lines
 
@@ -493,11 +506,15 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
         own = OWN_THICKNESS * scene.body.base_z_mm
         fitted["thickness"]["sd"] = math.hypot(fitted["thickness"]["sd"], own)
     modulus = fitted.get("youngs_modulus", {"deviation": 0.0, "sd": 0.0})
+    # What no parameter explains of the motion makes totals as much wrong, besides noise.
+    noise = presses.noise_px / float(np.sqrt(np.nanmean(presses.shift_px**2)))
+    left = float(np.median(found.left_out)) ** 2 - noise**2 - OWN_LEFT**2
+    unexplained = math.sqrt(max(left, 0.0))
     facts = {
         "fitted": fitted,
         "model_px": found.model_px,
         "youngs_modulus_mpa": scene.material.youngs_modulus_mpa * (1 + modulus["deviation"]),
-        "scale_error": math.hypot(modulus["sd"], OWN_ERROR),
+        "scale_error": min(math.hypot(modulus["sd"], OWN_ERROR, unexplained), MOST_OFF),
     }
     return _with_facts(made, presses, facts)
 
@@ -653,6 +670,56 @@ def _check_forces(scene: Scene, force_n: Floats, inward: Floats) -> None:
         )
 
 
+def _compare_with_motion(scene: Scene, charts: Points, presses: Presses) -> None:
+    """Refuse a table of presses at (q, 2) ``charts`` that the motion of the markers contradicts.
+
+    A press lies about where markers move most; sideways forces move them along.
+    """
+    drawn = np.concatenate([layer.chart() for layer in scene.markers.values()])
+    shift = np.nan_to_num(presses.shift_px)
+    weight = (shift**2).sum(axis=2)
+    seen = (weight @ drawn) / weight.sum(axis=1, keepdims=True)
+    apart, given = (float(np.hypot(*at.std(axis=0))) for at in (seen, charts))
+    wide = 2 * _hertz_radius(scene, scene.calibration.press_force_n)
+    doubts = []
+    if apart > SPREAD * given + wide:
+        doubts.append(f"presses lie {apart:.2g} mm apart, here {given:.2g}: give x_mm, y_mm in mm")
+    elif given > wide:
+        doubts += _mistaken(seen, charts, np.zeros(len(charts), np.int64), ("x_mm", "y_mm"))
+    # Motion along the drawing's axes; of presses at one place, where there are some, differences.
+    known = np.isfinite(presses.rest_px).all(axis=1)
+    affine = np.column_stack([drawn, np.ones(len(drawn))])[known]
+    to_px = np.linalg.lstsq(affine, presses.rest_px[known], rcond=None)[0][:2]
+    aside, place = presses.force_n[:, :2], presses.place
+    if len(np.unique(place)) == len(place):
+        place = np.zeros_like(place)
+    if aside.std(axis=0).max() > SPREAD * presses.load_cell_n:
+        moved = np.linalg.solve(to_px.T, shift.mean(axis=1).T).T
+        doubts += _mistaken(moved, aside, place, ("fx_n", "fy_n"))
+    if doubts:
+        raise InputError(f"{TABLE}: by the motion in the pictures, {'; '.join(doubts)}")
+
+
+def _mistaken(seen: Floats, given: Floats, group: Ints, names: tuple[str, str]) -> list[str]:
+    """Return which of two columns (q, 2) are swapped or of the wrong sign, as far as what was
+    ``seen`` (q, 2) is sure about it; differences from the mean of each (q,) group count."""
+    mean = np.equal.outer(group, group) / np.bincount(group)[group]
+    seen, given = seen - mean @ seen, given - mean @ given
+    size = max(float(np.linalg.norm(seen) * np.linalg.norm(given)), np.finfo(float).tiny)
+    agree = {}
+    for swapped in (False, True):
+        for signs in ((1, 1), (-1, 1), (1, -1), (-1, -1)):
+            mended = (given[:, ::-1] if swapped else given) * signs
+            agree[swapped, signs] = float((seen * mended).sum()) / size
+    swapped, signs = max(agree, key=lambda key: agree[key])
+    best = agree[swapped, signs]
+    if best < SURE or agree[False, (1, 1)] > MISTAKEN * best:
+        return []
+    turned = [name for name, sign in zip(names, signs, strict=True) if sign < 0]
+    words = [f"{' and '.join(names)} are swapped"] if swapped else []
+    return words + [f"{name} has the wrong sign" for name in turned]
+
+
 def _require_places(body: Body, places_mm: Points, on_surface: Bools) -> None:
     """Refuse a table of presses whose places are not all on the surface."""
     if on_surface.all():
@@ -689,11 +756,12 @@ def _by_presses(
             )
     half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
     # Fitted: any places. Presses nearly at one place share it.
+    rounded = np.rint(charts / SAME_PLACE_MM).astype(np.int64)
+    _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    presses = replace(presses, place=which.ravel().astype(np.int64))
+    _compare_with_motion(scene, charts, presses)
     if scene.calibration.method == "fitted":
-        rounded = np.rint(charts / SAME_PLACE_MM).astype(np.int64)
-        _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
         places = Rectangles.on_surface(scene.body, charts[first], half_mm, TABLE)
-        presses = replace(presses, place=which.ravel().astype(np.int64))
         made = _fitted_calibration(sensor, places, presses)
         return _stating(made, {"frames": [names[k] for k in first]})
     # Sato's way: three presses at every place of a grid, in any order.

@@ -15,6 +15,7 @@ five places only, which have the same second moments.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -41,11 +42,15 @@ curvature leave open."""
 
 SHORTFALL, SHORTFALL_SD = 0.8, 0.6
 """Mean and standard deviation of a half-normal deviation, in its scale: the shortfall of Poisson's
-ratio."""
+ratio where the drawing has (nearly) 0.5."""
 
 NU_STEP = 0.005
-"""How far below the nominal Poisson's ratio the second body is, between which it is
-interpolated."""
+"""How far below the nominal Poisson's ratio the second body is, between which it is interpolated,
+where the drawing lies nearer to 0.5 than this."""
+
+NU_UNSURE = 0.5
+"""Standard deviation, at least, of a drawing's Poisson's ratio below 0.5, over what it lacks of
+0.5: it is mostly a guess, and may be too small or too large."""
 
 STEP_MM = 0.02
 """Step of the slope along the surface, mm."""
@@ -95,7 +100,7 @@ class FittedDesign:
         room = scene.tolerance
         sizes = {
             "youngs_modulus": room.youngs_modulus_pct / 100,
-            "poisson_ratio": room.poisson_ratio,
+            "poisson_ratio": self._unsure_ratio,
             "thickness": room.thickness_mm,
             **{f"depth_{name}": room.depth_mm for name in scene.markers},
             **{f"pupil_{axis}": room.pupil_mm for axis in AXES},
@@ -114,6 +119,21 @@ class FittedDesign:
         self._chart = np.concatenate([layer.chart() for layer in scene.markers.values()])
         self._layer = np.repeat(list(scene.markers), counts)
 
+    @property
+    def _unsure_ratio(self) -> float:
+        """The scale of Poisson's ratio's deviation: 0 if it isn't fitted."""
+        room = self.scene.tolerance.poisson_ratio
+        return max(room, NU_UNSURE * self._below_half) if room and self._both_ways else room
+
+    @property
+    def _below_half(self) -> float:
+        return 0.5 - self.scene.material.poisson_ratio
+
+    @property
+    def _both_ways(self) -> bool:
+        """Whether Poisson's ratio may also be larger than drawn."""
+        return self._below_half >= NU_STEP
+
     def _compliance_of(self, scene: Scene) -> Compliance:
         return Compliance(scene.body, scene.material, level="nominal", progress=self._progress)
 
@@ -122,11 +142,16 @@ class FittedDesign:
         return self._compliance_of(self.scene)
 
     @cached_property
-    def _softer(self) -> Compliance:
-        nominal = self.scene.material
-        nu = nominal.poisson_ratio - NU_STEP
-        softer = nominal.model_copy(update={"poisson_ratio": nu})
-        return self._compliance_of(self.scene.model_copy(update={"material": softer}))
+    def _of_ratios(self) -> dict[float, Compliance]:
+        """Bodies of other Poisson's ratios, by their deviations."""
+        steps = [-NU_STEP]
+        if self._both_ways:
+            steps = [-min(self.sizes["poisson_ratio"], 0.5), self._below_half]
+        drawn, found = self.scene.material, {}
+        for step in steps:
+            other = drawn.model_copy(update={"poisson_ratio": drawn.poisson_ratio + step})
+            found[step] = self._compliance_of(self.scene.model_copy(update={"material": other}))
+        return found
 
     @cached_property
     def _thicker(self) -> Compliance:
@@ -149,8 +174,10 @@ class FittedDesign:
         found = dict.fromkeys(self._parameters, 0.0)
         for (name, size), z in zip(self.sizes.items(), scaled, strict=True):
             found[name] = size * float(z)
+            if name == "poisson_ratio" and not self._both_ways:
+                found[name] = SHORTFALL_SD * found[name] - SHORTFALL * size
             if name == "poisson_ratio":
-                found[name] = min(SHORTFALL_SD * found[name] - SHORTFALL * size, 0.0)
+                found[name] = min(found[name], self._below_half)
         return found
 
     def optics_of(self, scaled: Floats) -> tuple[Camera, float, float]:
@@ -245,8 +272,12 @@ class FittedDesign:
             which = slice(first, first + 2 * len(markers))
             few = sites[which]
             here = column = self._nominal.to_points(markers, few)
-            if share := -found["poisson_ratio"] / NU_STEP:
-                column = column + share * (self._softer.to_points(markers, few) - here)
+            if off := found["poisson_ratio"]:
+                # Lagrange's polynomial through the drawing and the other bodies.
+                for step, other in self._of_ratios.items():
+                    rest = [(off - s) / (step - s) for s in self._of_ratios if s != step]
+                    share = off / step * math.prod(rest)
+                    column = column + share * (other.to_points(markers, few) - here)
             if found["thickness"]:
                 share = found["thickness"] / self.sizes["thickness"]
                 column = column + share * (self._thicker.to_points(markers, few) - here)
