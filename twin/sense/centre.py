@@ -64,6 +64,8 @@ class Look:
         (height, width) of the picture.
     blobs
         The spots that could be markers.
+    hole_px
+        Where markers are rings, how wide holes are filled before spots are looked for, px; else 0.
     """
 
     rows: Ints
@@ -75,6 +77,7 @@ class Look:
     contrast_dn: float
     picture_px: tuple[int, int]
     blobs: Blobs
+    hole_px: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -124,7 +124,8 @@ def as_picture(image: NDArray[np.generic], what: str) -> Picture:
     if not known or picture.ndim not in (2, 3) or 0 in picture.shape:
         raise InputError(
             f"{what} must be counts of 8 or 16 bits of shape (height, width, 3) or (height, "
-            f"width), got {picture.dtype} of shape {picture.shape}: convert it first"
+            f"width), got {picture.dtype} of shape {picture.shape}: convert it first, values from "
+            "0 to 1 by np.rint(65535 * picture).astype(np.uint16)"
         )
     if picture.dtype == np.uint16:
         if picture.max() < _UNSTRETCHED:

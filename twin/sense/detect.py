@@ -17,8 +17,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import grey_closing
 
-from twin.arrays import Bools, Floats, Pixels
+from twin.arrays import Bools, Floats, Ints, Pixels
 from twin.compiled import njit
 from twin.sense.colour import Signal
 
@@ -45,6 +46,10 @@ EDGE_START, EDGE_END = 1.2, 3.0
 CUT = 0.92
 """A spot at the picture's border is whole if its centroid is farther from it than this share of its
 mean radius: of a disc with a twelfth of its width beyond the border that is .9."""
+
+INNER, HOLLOW = 0.4, 0.6
+"""Share of a spot's radius that is its middle, and of the brightness around below which it is a
+ring's."""
 
 TURNS = 5
 """Times the window is moved to the centroid at most; the plane is fitted again every second
@@ -88,9 +93,27 @@ class Blobs:
         """(b,) diameters of circles of the same area, px."""
         return np.asarray(2.0 * np.sqrt(self.area_px / np.pi))
 
+    def hollow(self, signal: Signal, rows: Ints) -> bool:
+        """Return whether the spots ``rows`` are rings: their middles are much darker than what is
+        around these."""
+        share = []
+        for (x, y), radius in zip(self.centre_px[rows], 0.5 * self.diameter_px[rows], strict=True):
+            low = np.fmax(np.rint([y - radius, x - radius]), 0).astype(int)
+            part = signal[low[0] : int(y + radius) + 2, low[1] : int(x + radius) + 2]
+            down, across = np.indices(part.shape) + low[:, None, None]
+            away = np.hypot(across - x, down - y) / radius
+            inner, rim = part[away < INNER], part[(away > INNER) & (away < 1.0)]
+            if len(inner) and len(rim):
+                share.append(np.median(inner) / max(float(np.quantile(rim, 0.75)), 1e-9))
+        return len(share) > 0 and float(np.median(share)) < HOLLOW
+
     @staticmethod
     def found_in(
-        signal: Signal, diameter_px: float, contrast_dn: float, floor_dn: float = -np.inf
+        signal: Signal,
+        diameter_px: float,
+        contrast_dn: float,
+        floor_dn: float = -np.inf,
+        hole_px: int = 0,
     ) -> Blobs:
         """Find and measure the marker-like spots of a signal.
 
@@ -104,7 +127,11 @@ class Blobs:
             Least contrast of a spot above its surroundings.
         floor_dn
             Where the signal is cut off: a pixel near it shows another layer's colour.
+        hole_px
+            How wide the holes are that are filled, px: then rings are spots.
         """
+        if hole_px:
+            signal = grey_closing(signal, hole_px)
         # windows are as large: none is larger than the picture
         diameter_px = min(diameter_px, float(max(signal.shape)))
         half = max(1, round(0.3 * diameter_px))

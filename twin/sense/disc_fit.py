@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,6 +220,9 @@ class DiscFit(SoftWindow):
         for spot, signal in zip(
             spots, LayerSignal.of_layers(picture, looks, places, given), strict=True
         ):
+            if spot.look.hole_px:
+                groups.append(spot.of_sharp(picture))
+                continue
             group = cls._by(picture, spot, signal, marks)
             # Compression keeps more of the brightness than of the colours: is that the better one?
             if signal.brightness is not None and group.templates.coherent:
@@ -340,7 +342,7 @@ class DiscFit(SoftWindow):
         """Return (n, `COLUMNS`) fits of all markers, also of those that don't look as at rest."""
         templates = self.templates
         fitted = templates.fit(picture, start_px, lead)
-        if now := in_other_light(picture, templates, fitted, self._evenly):
+        if now := in_other_light(picture, templates, fitted, self.around):
             templates, fitted = now
         cut = self._cut(fitted, start_px)
         if self.pictures:
@@ -414,7 +416,8 @@ class DiscFit(SoftWindow):
         clear = max(self.around.spacing_px - largest - blur, largest + blur)
         reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
         t = templates
-        seen = (picture, t.own, t.others, t.sites, t.ground_slopes, places)
+        sloping = slope_terms(places, picture.shape) @ t.ground_slopes.T + t.ground[:, 1:3]
+        seen = (picture, t.own, t.others, t.sites, sloping, places)
         shape = fit_shapes(*seen, radius, reach, t.noise, blur, bulge, free_blur=True)
         shape[:, 3:6] = known[:, 3:6]
         # These shapes are templates of a fit like all others.
@@ -438,16 +441,6 @@ class DiscFit(SoftWindow):
         fitted[taken, RESHAPED] = OWN_SHAPE
         outline[taken] = shape[taken][:, [0, 1, 2, 6]]
         return templates, misfit
-
-    @cached_property
-    def _evenly(self) -> Floats:
-        """(n, 3) a constant and two slopes over the picture, orthonormal over the markers; 0 where
-        there is none."""
-        known = np.isfinite(self.around.rest_px[:, 0])
-        basis = np.zeros((len(known), 3))
-        terms = slope_terms(self.around.rest_px[known], self.look.picture_px)
-        basis[known] = np.linalg.qr(np.pad(terms[:, :3], ((0, 3), (0, 0))))[0][: known.sum()]
-        return basis
 
     def _cut(self, fitted: Floats, start_px: Pixels) -> Bools:
         """Return (n,) which markers the picture's frame cuts: less of the edge is in sight, or it

@@ -21,6 +21,7 @@ from twin.parts.methods import CentreMethod
 from twin.sense.centre import CentreEstimator, Look
 from twin.sense.colour import (
     Flaws,
+    Signal,
     Weights,
     as_picture,
     estimate_channels,
@@ -41,6 +42,10 @@ METHODS: dict[CentreMethod, type[CentreEstimator]] = {
 
 NARROWEST_PX = 3.0
 """No marker is looked for as if it were narrower."""
+
+MOST, HOLES = 0.8, (0.15, 0.2, 0.3, 0.4, 0.5, 0.6)
+"""Where fewer than this share of the markers are spots, or their middles are dark, they may be
+rings: holes up to so wide are filled, over their distance."""
 
 PAPERS_CHANNELS: tuple[Weights, Weights] = ((1.0, 0.0, -1.0), (-1.0, 0.0, 1.0))
 """The flat paper's difference of red and blue, for either layer (section 4.1)."""
@@ -151,23 +156,19 @@ def _first_look(
     floor = -max(8.0, 5.0 * noise) if opposed else -np.inf
     signal = np.maximum(raw - np.float32(ground), np.float32(floor))
     contrast = max(LEAST_CONTRAST_DN, 4.0 * noise)
-    width = diameter_px or 0.33 * spacing(nominal)
-    blobs = Blobs.found_in(signal, width, contrast, floor)
-    looks_left = 2 if diameter_px is None else 0
-    while looks_left:
-        markers = _nearest(nominal, blobs.centre_px, blobs.whole)
-        before = width
-        if len(markers):
-            usual = float(np.median(blobs.diameter_px[markers]))
-            width = float(np.clip(usual, NARROWEST_PX, 0.9 * max(spacing(nominal), 4.0)))
-            looks_left -= 1
-        elif width > 2.0 * NARROWEST_PX:  # much narrower than they are apart, they are blurred away
-            width /= 2.0
-        else:
-            break
-        blobs = Blobs.found_in(signal, width, contrast, floor)
-        if len(markers) and 0.8 < width / before < 1.25:
-            break
+    seek = (signal, nominal, diameter_px, contrast, floor)
+    (width, blobs), hole_px = _sought(*seek), 0
+    found = _nearest(nominal, blobs.centre_px, blobs.whole)
+    if len(found) < MOST * len(nominal) or blobs.hollow(signal, found):  # rings, maybe
+        rings, holes = [], np.ceil(np.multiply(HOLES, spacing(nominal))).astype(int).tolist()
+        for hole in holes:
+            _, filled = _sought(*seek, hole)
+            near = _nearest(nominal, filled.centre_px, filled.whole)
+            rings.append(len(near) * filled.hollow(signal, near))
+        if max(rings) >= MOST * len(nominal):
+            best = np.flatnonzero(np.array(rings) == max(rings))
+            hole_px = holes[best[(len(best) - 1) // 2]]  # neither just filled, nor nearly its gaps
+            width, blobs = _sought(*seek, hole_px)
     keep = blobs.whole | blobs.cut
     if keep.any():
         usual = float(np.median(blobs.area_px[_nearest(nominal, blobs.centre_px, keep)]))
@@ -181,9 +182,39 @@ def _first_look(
         floor_dn=floor,
         contrast_dn=contrast,
         diameter_px=width,
+        hole_px=hole_px,
         picture_px=(height, width_px),
         blobs=Blobs(**{f.name: getattr(blobs, f.name)[keep] for f in fields(Blobs)}),
     )
+
+
+def _sought(
+    signal: Signal,
+    nominal: Pixels,
+    diameter_px: float | None,
+    contrast: float,
+    floor: float,
+    hole_px: int = 0,
+) -> tuple[float, Blobs]:
+    """Return how wide markers are, px, and the spots; holes up to ``hole_px`` wide are filled."""
+    width = diameter_px or 0.33 * spacing(nominal)
+    blobs = Blobs.found_in(signal, width, contrast, floor, hole_px)
+    looks_left = 2 if diameter_px is None else 0
+    while looks_left:
+        markers = _nearest(nominal, blobs.centre_px, blobs.whole)
+        before = width
+        if len(markers):
+            usual = float(np.median(blobs.diameter_px[markers]))
+            width = float(np.clip(usual, NARROWEST_PX, 0.9 * max(spacing(nominal), 4.0)))
+            looks_left -= 1
+        elif width > 2.0 * NARROWEST_PX:  # much narrower than they are apart, they are blurred away
+            width /= 2.0
+        else:
+            break
+        blobs = Blobs.found_in(signal, width, contrast, floor, hole_px)
+        if len(markers) and 0.8 < width / before < 1.25:
+            break
+    return width, blobs
 
 
 def _nearest(nominal: Pixels, spots: Pixels, fit: Bools) -> Ints:

@@ -27,6 +27,7 @@ from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kerne
 from twin.compiled import njit
 from twin.sense.centre import Look
 from twin.sense.colour import LUMA, Flaws
+from twin.sense.match import Neighbourhood
 from twin.sense.shape_fit import fit_shapes
 from twin.sense.template import (
     CENTRE,
@@ -40,7 +41,7 @@ from twin.sense.template import (
     NO_RUNS,
     QUADRATIC,
     SHAPE,
-    SLOPES,
+    VAR_X,
     Templates,
     disc,
     disc_offsets,
@@ -122,13 +123,19 @@ SLOPING = 0.5
 """Standard deviations of a pixel's noise by which the ground differs over that length, at least: by
 chance up to .15."""
 
-RELIT = 5.0
-"""Standard deviations of a marker's slope of brightness by which a change that all markers share
-exceeds chance: then the light may have changed."""
+RELIT = 0.5
+"""Motion that a change of light from marker to marker feigns, over its standard deviation by the
+noise, above which the light has changed."""
 
-AGREE = 0.25
-"""Share, squared, of the markers' change of slope that may be left by what the change from marker
-to marker explains."""
+LIGHT = (0.05, 20.0)
+"""Of the light at rest that the ground or the markers are seen in."""
+
+TURNS_OF_PLANES, PULL = 3, 0.02
+"""Weighted fits of the light around a marker; a weak pull to no slope."""
+
+UNLIT = 0.6
+"""Share of the change, squared, that planes may leave where it is light's: shadows a quarter of a
+marker's distance wide leave .3; hidden parts, growth and shadows of single markers .8 and more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,7 +277,8 @@ class LayerSignal:
             every = max(1, int(np.isfinite(radius).sum()) // SAMPLE)
             few = np.where(np.cumsum(np.isfinite(radius)) % every == 0, radius, np.nan)
             reach = 0.65 * diameter_px + 2.0 * USUAL_BLUR_PX + MARGIN_PX
-            seen = (picture, own, others, self.sites, ground_slopes, spots_px)
+            around = slope_terms(spots_px, picture.shape) @ ground_slopes.T
+            seen = (picture, own, others, self.sites, around, spots_px)
             first = fit_shapes(
                 *seen, few, reach, noise, USUAL_BLUR_PX, free_bulge=True, free_blur=True
             )
@@ -295,8 +303,8 @@ class LayerSignal:
             others=others,
             sites=self.sites,
             shape=for_kernel(shape[:, :SHAPE]),
-            ground=np.where(
-                np.abs(shape[:, SHAPE + 2]) > 0.5 * shape[:, 7], shape[:, SHAPE + 2], 0.0
+            ground=_evenly_lit(
+                np.where(np.abs(shape[:, SHAPE + 2]) > 0.5 * shape[:, 7], shape[:, SHAPE + 2], 0.0)
             ),
             ground_slopes=ground_slopes,
             noise=noise,
@@ -316,7 +324,7 @@ class LayerSignal:
         usual = float(np.quantile(misfit, USUAL)) if len(misfit) else 1.0
         settled = replace(
             templates,
-            ground=np.nan_to_num(fitted[:, GROUND]),
+            ground=_evenly_lit(np.nan_to_num(fitted[:, GROUND])),
             usual_misfit=max(usual, 1.0),
             level=fitted[:, LEVEL],
             coherent=usual > WHITE,
@@ -372,63 +380,87 @@ def _share_slopes(shape: Floats, places: Pixels, good: Bools, size: Sequence[int
     return shared
 
 
-def _smooth_gradient(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
-    """Return (2, 6) the slopes along x and y, 1/px, of the smooth function of the place that
-    ``values`` (n,) follow, by the terms of `slope_terms`."""
-    _, u, v, uu, uv, vv = Templates.smooth(values[:, None], places, size)[0]
-    slopes = np.zeros((2, 6))
-    slopes[0, :3] = np.array([u, 2.0 * uu, uv]) / size[1]
-    slopes[1, :3] = np.array([v, uv, 2.0 * vv]) / size[0]
-    return slopes
+def _evenly_lit(ground: Floats) -> Floats:
+    """Return (n, 4) `Templates.ground` in the light at rest."""
+    return np.pad(ground[:, None], ((0, 0), (0, 3)))
 
 
 def in_other_light(
-    picture: Picture, templates: Templates, fitted: Floats, evenly: Floats
+    picture: Picture, templates: Templates, fitted: Floats, around: Neighbourhood
 ) -> tuple[Templates, Floats] | None:
-    """Return templates whose slopes of brightness follow the light, and their fits, where it has
-    changed over the picture since rest; None where no more than by chance.
+    """Return templates whose brightness slopes as the light does now, and their fits, where that
+    has changed from marker to marker since rest; None where it has not.
 
-    Other light shows twice: the markers' levels have changed smoothly over the picture, and the
-    brightness across each has the same slope. Slopes alone are feigned where all markers lie alike
-    on the pixels. ``fitted`` (n, `COLUMNS`) are the fits without; ``evenly`` (n, 3) a constant and
-    two slopes over the picture, orthonormal over the markers.
+    Light multiplies what it falls on: the logarithm of the change of the ground, or of the markers
+    where these are brighter, is a plane over a marker and its neighbours. Its slope, times the
+    ground's and the marker's brightness, is theirs. What lies off the planes is what the slope is
+    not known to. ``fitted`` (n, `COLUMNS`) are the fits without.
     """
-    size, rest = picture.shape[:2], templates.rest
-    # The sums of the changed slopes, outliers bounded, times a constant and two slopes.
-    change = fitted[:, SLOPES] - rest[:, SLOPES]
-    known = np.isfinite(change[:, 0])
-    count = int(np.count_nonzero(known))
-    if count < LINEAR:
+    rest, near = templates.rest, around.near
+    place, level = fitted[:, CENTRE], fitted[:, LEVEL]
+    ground, before = (fit[:, GROUND] + templates.own[3] for fit in (fitted, rest))
+    whole, now = ground + level, ground
+    if medians(np.abs(whole)) > medians(np.abs(ground)):
+        now, before = whole, before + rest[:, LEVEL]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = np.log(np.clip(now / before, *LIGHT))
+    # A slope of the ground moves a centre by the sum of edge times slope over that of the edge
+    # squared; one of the marker, about as the mean of both.
+    shape, radius = templates.shape, templates.radius_px
+    edge = 5.0 / 7.0 * level * (1.0 + shape[:, 5]) / shape[:, 6]
+    moves = np.abs(ground) * radius / edge + 0.25 * np.abs(whole) / level * radius**2
+    sd = np.sqrt(fitted[:, VAR_X])
+    step = np.abs(change[near[:, 0]] - change) * moves / (around.spacing_px * sd)
+    known = np.isfinite(step)
+    if np.count_nonzero(known) < LINEAR or not np.mean(step[known] ** 2) > RELIT**2:
         return None
-    basis = evenly
-    if count < len(known):
-        change, basis = change[known], evenly[known]
-    middle = medians(change)
-    change = change - middle
-    reach = OUTLYING * 1.4826 * medians(np.abs(change))
-    bounded = np.minimum(np.maximum(change, -reach), reach) + middle
-    along = basis.T @ bounded
-    squares = (along * along).sum(axis=0)
-    left = np.maximum((bounded * bounded).sum(axis=0) - squares, 0.0)
-    if (np.abs(along).max(axis=0) <= RELIT * np.sqrt(left / count)).all():
+    # less what markers that have moved see of the light at rest
+    at_rest = _local_slopes(np.log(np.fmax(np.abs(before), 1.0)), rest[:, CENTRE], around)[0]
+    change -= ((place - rest[:, CENTRE]) * at_rest).sum(axis=1)
+    slope, off, left = _local_slopes(change, place, around)
+    if left > UNLIT:
         return None
-    known = np.isfinite(fitted[:, LEVEL] / rest[:, LEVEL])
-    places = fitted[known, CENTRE]
-    light = _smooth_gradient(np.log(fitted[known, LEVEL] / rest[known, LEVEL]), places, size)
-    left = along - evenly[known].T @ (slope_terms(places, size) @ light.T)
-    if (left**2).sum() >= AGREE * (along**2).sum():
-        return None
-    relit = replace(templates, slopes=templates.slopes + light)
-    fitted = relit.fit(picture, for_kernel(fitted[:, CENTRE]))
-    # A slope of the ground's brightness moves a centre, by the sum of edge times slope over that of
-    # the edge squared.
-    shape, places = templates.shape, fitted[:, CENTRE]
-    change = fitted[:, GROUND] - rest[:, GROUND]
-    known = np.isfinite(change)
-    slope = slope_terms(places, size) @ _smooth_gradient(change[known], places[known], size).T
-    edge = 5.0 / 7.0 * fitted[:, LEVEL] * (1.0 + shape[:, 5]) / shape[:, 6]
-    fitted[:, CENTRE] -= slope * (templates.radius_px / edge)[:, None]
-    return relit, fitted
+    unsure = off / around.spacing_px * moves
+    mark = shape.copy()
+    mark[:, 3:5] += slope * (whole / level)[:, None]
+    lit = templates.ground.copy()
+    lit[:, 1:3] = slope * ground[:, None]
+    lit[:, 3] = unsure**2
+    lit, mark = np.nan_to_num(lit), np.where(np.isfinite(mark), mark, shape)
+    relit = replace(templates, shape=for_kernel(mark), ground=lit)
+    return relit, relit.fit(picture, for_kernel(place))
+
+
+def _local_slopes(
+    values: Floats, places: Pixels, around: Neighbourhood
+) -> tuple[Floats, Floats, float]:
+    """Fit planes to ``values`` (n,) at ``places`` (n, 2) over every marker and its neighbours,
+    outliers bounded.
+
+    Returns
+    -------
+    (n, 2) slopes, 1/px; (n,) how far values lie off the planes; and which share of the values'
+    squares that is.
+    """
+    members = np.column_stack([np.arange(len(values)), around.near])
+    weight = np.pad(around.fit_weight, ((0, 0), (1, 0)), constant_values=1.0)
+    value = values[members]
+    weight[~np.isfinite(value)] = 0.0
+    value = np.nan_to_num(value)
+    terms = np.ones((*members.shape, 3))
+    terms[:, :, 1:] = np.nan_to_num(places[members] - places[:, None]) / around.spacing_px
+    trust = weight
+    for _ in range(TURNS_OF_PLANES):
+        weighted = trust[:, :, None] * terms
+        matrix = weighted.transpose(0, 2, 1) @ terms + PULL * np.eye(3)
+        plane = np.linalg.solve(matrix, (weighted * value[:, :, None]).sum(axis=1)[:, :, None])
+        off = value - (terms @ plane)[:, :, 0]
+        usual = 1.4826 * medians(np.where(weight > 0.0, np.abs(off), np.nan), 1)
+        trust = weight / (1.0 + (off / np.fmax(OUTLYING * usual, 1e-9)[:, None]) ** 2) ** 2
+    mean = (weight * value).sum(axis=1) / np.fmax(weight.sum(axis=1), 1e-9)
+    square = (weight * (value - mean[:, None]) ** 2).sum()
+    left = float((weight * off**2).sum() / max(square, 1e-12))
+    return plane[:, 1:, 0] / around.spacing_px, usual, left
 
 
 def _noise_variances(

@@ -95,8 +95,10 @@ def fit_shapes(
 
     Parameters
     ----------
-    picture, own, others, sites, ground_slopes, noise
+    picture, own, others, sites, noise
         See `twin.sense.template.Templates`.
+    ground_slopes
+        (n, 2) slopes of the ground's brightness around them, counts per px.
     start_px, radius_px
         (n, 2) centres and (n,) radii to start from, px; NaN rows are left out.
     blur_px, bulge
@@ -129,7 +131,7 @@ def fit_shapes(
         middle,
         offset,
         radius,
-        slope_terms(start, picture.shape) @ ground_slopes.T,
+        ground_slopes[rows],
         noise[rows, 1],
         bulge,
         blur_px,
@@ -430,7 +432,7 @@ class Expected:
             offset,
             tuple(_near(int(reach**2), math.ceil(distance**2)) for distance in within),
             middle,
-            (self.axes, np.column_stack([known[:, 3:6], self.blur])),
+            (self.axes, np.column_stack([known[:, 3:6], self.blur, templates.ground[rows, 1:3]])),
             (templates.slopes, templates.ground_slopes, picture.shape[:2]),
             noise,
             templates.coherent,
@@ -454,7 +456,8 @@ class Expected:
             fit[:, 3],
             fit[:, 2],
         )
-        fitted[:, VARIANCE] = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])[:, None]
+        variance = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]) + templates.ground[rows, 3]
+        fitted[:, VARIANCE] = variance[:, None]
         fitted[:, PIXELS] = count
         fitted[:, MISFIT] = templates.usual_misfit * squares / np.maximum(count, 1)
         fitted[:, SQUARES] = fitted[:, MISFIT] * count * templates.noise[rows, 0]
@@ -507,9 +510,9 @@ def _fit_visible(
 
     Pixels' brightness ``signal`` and which of them count, ``use`` (k, m), are at ``offset`` (m, 2)
     from whole pixels ``middle`` (k, 2). ``near`` are tables of `_near`: pixels beside, and those
-    around a hidden one. ``shape`` are (k, 3) expected semi-axes and (k, 4) slope x, y, bulge and
-    blur; ``light`` the slopes of marker and ground, and the picture's size; ``hold`` (k, `FREE`)
-    the information on every number before, and the largest steps.
+    around a hidden one. ``shape`` are (k, 3) expected semi-axes and (k, 6) slope x, y, bulge, blur
+    and the ground's own slope x, y; ``light`` the slopes of marker and ground, and the picture's
+    size; ``hold`` (k, `FREE`) the information on every number before, and the largest steps.
 
     Filled are which pixels are ``hidden`` (k, m); ``pixels`` (k, 4, m): the covered share, what the
     model lacks, the information, and the noise's variance; the information's ``matrix`` (k, `FREE`,
@@ -530,7 +533,12 @@ def _fit_visible(
             determinant = max(xx * yy - xy * xy, 1e-6)
             xx, xy, yy = yy / determinant, -xy / determinant, xx / determinant
             u, v = p[0] / size[1] - 0.5, p[1] / size[0] - 0.5
-            slope_x, slope_y, ground_x, ground_y = looks[k, 0], looks[k, 1], 0.0, 0.0
+            slope_x, slope_y, ground_x, ground_y = (
+                looks[k, 0],
+                looks[k, 1],
+                looks[k, 4],
+                looks[k, 5],
+            )
             for term, value in enumerate((1.0, u, v, u * u, u * v, v * v)):
                 slope_x += slopes[0, term] * value
                 slope_y += slopes[1, term] * value

@@ -4,8 +4,8 @@ Spots are matched to markers (`twin.sense.match`); markers without one get a sta
 reason.
 
 Edges that are sharper than light leaves them on pixels are drawn, not filmed, or are no ellipses'
-(squares, crosses): no soft edge shows a place between pixels. Such markers are measured by the
-plain centroid of all their light (`SoftWindow.sharp`).
+(squares, crosses): no soft edge shows a place between pixels. Such markers, and rings, are measured
+by the plain centroid of all their light (`SoftWindow.sharp`).
 """
 
 from __future__ import annotations
@@ -185,7 +185,9 @@ class SoftWindow(CentreEstimator):
         (n,) why the others are lost; and (s, 2) spots that look like markers and are none's."""
         look = self.look
         signal = self._above_ground(picture)
-        blobs = Blobs.found_in(signal, look.diameter_px, look.contrast_dn, look.floor_dn)
+        blobs = Blobs.found_in(
+            signal, look.diameter_px, look.contrast_dn, look.floor_dn, look.hole_px
+        )
         if self.sharp:
             blobs = _plain_centroids(signal, blobs)
         # From a cold start the whole lattice is followed, also where it goes on beyond the layout.

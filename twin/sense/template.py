@@ -139,11 +139,9 @@ PIXELS, STEP, MISFIT, FITTING, THIRD_X, THIRD_Y, SHORTFALL, ONE_SIDED = range(9,
 DIRECTIONS = 8
 RESHAPED = ONE_SIDED + DIRECTIONS
 DOUBTED, DIFFERENCE, TILTED_X, TILTED_Y, VAR_TILTED = range(RESHAPED + 1, RESHAPED + 6)
-SLOPE_X, SLOPE_Y = VAR_TILTED + 1, VAR_TILTED + 2
-COLUMNS = SLOPE_Y + 1
+COLUMNS = VAR_TILTED + 1
 CENTRE, VARIANCE = slice(CENTRE_X, CENTRE_Y + 1), slice(VAR_X, VAR_Y + 1)
 THIRD, TILTED = slice(THIRD_X, THIRD_Y + 1), slice(TILTED_X, TILTED_Y + 1)
-SLOPES = slice(SLOPE_X, SLOPE_Y + 1)
 """Columns of what `Templates.fit` gives, a row a marker.
 
 - ``CENTRE``, ``LEVEL``, ``GROUND``, ``SCALE``: what is fitted; the scale is against the template.
@@ -162,8 +160,7 @@ SLOPES = slice(SLOPE_X, SLOPE_Y + 1)
 - ``DOUBTED``: 1 where the fit, the edge or the size is not as usual, else 0.
 - ``DIFFERENCE``: by how much the outline differs from its neighbours', unexplained, px.
 - ``TILTED``: how far the centre would move were the marker's slope of brightness fitted too, px.
-  ``VAR_TILTED``: the variance of that by the noise. ``SLOPES``: by how much the slope would change,
-  1/px.
+  ``VAR_TILTED``: the variance of that by the noise.
 """
 
 OWN_SHAPE, PART_IN_SIGHT, OWN_PICTURE = 1.0, 2.0, 3.0
@@ -391,7 +388,7 @@ def _fit_centres(
         if not (math.isfinite(cx) and math.isfinite(cy) and math.isfinite(mark[0])):
             continue
         xx, xy, yy, blur, level = mark[0], mark[1], mark[2], mark[6], mark[7]
-        here = ground[k]
+        here = ground[k, 0]
         mean_radius = math.sqrt(max(xx * yy - xy * xy, 0.25))
         ground_noise, more = noise[k, 0], noise[k, 1] - noise[k, 0]
         scale, step, column, row = 1.0, 1e9, 0, 0
@@ -405,7 +402,7 @@ def _fit_centres(
                 column, row = middle_x, middle_y
                 gather(image, colour, others, sites, column, row, offset, runs, room[0], room[1])
             u, v = cx / columns - 0.5, cy / rows - 0.5
-            slope_x, slope_y, ground_x, ground_y = mark[3], mark[4], 0.0, 0.0
+            slope_x, slope_y, ground_x, ground_y = mark[3], mark[4], ground[k, 1], ground[k, 2]
             for term, value in enumerate((1.0, u, v, u * u, u * v, v * v)):
                 slope_x += slopes[0, term] * value
                 slope_y += slopes[1, term] * value
@@ -481,8 +478,9 @@ def _fit_centres(
         # the middle matrix of the sandwich, taken as diagonal: exact on whole discs
         fit[CENTRE_X], fit[CENTRE_Y], fit[LEVEL], fit[GROUND] = cx, cy, level, here
         fit[SCALE] = scale
-        fit[VAR_X] = (jyy * jyy * across + jxy * jxy * along) / (determinant * determinant)
-        fit[VAR_Y] = (jxx * jxx * along + jxy * jxy * across) / (determinant * determinant)
+        square = determinant * determinant
+        fit[VAR_X] = (jyy * jyy * across + jxy * jxy * along) / square + ground[k, 3]
+        fit[VAR_Y] = (jxx * jxx * along + jxy * jxy * across) / square + ground[k, 3]
         # a whole ellipse's sum of squared slopes: its length times 5/7 over the blur's half width
         mean, gap = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
         length = 2.0 * np.pi * scale * math.sqrt(mean * mean + gap * gap)
@@ -505,8 +503,6 @@ def _fit_centres(
         fit[TILTED_X] = (own_slope * total[18] - both * total[20]) / (gain * free)
         fit[TILTED_Y] = (own_slope * total[19] - both * total[21]) / (gain * free)
         fit[VAR_TILTED] = own_slope / (gain * gain * free)
-        fit[SLOPE_X] = (firm * total[20] - both * total[18]) / (free * level)
-        fit[SLOPE_Y] = (firm * total[21] - both * total[19]) / (free * level)
         uneven = (fit[THIRD_X] - third[k, 0]) ** 2 + (fit[THIRD_Y] - third[k, 1]) ** 2
         uneven /= 2.0 * (fit[VAR_X] + fit[VAR_Y])
         doubted = fit[FITTING] < FITS or fit[MISFIT] > UNUSUAL * usual_misfit
@@ -630,7 +626,9 @@ class Templates:
     shape
         (n, `SHAPE`) every marker's template; NaN for markers not found at rest.
     ground
-        (n,) ground around every marker at rest, counts.
+        (n, 4) ground around every marker at rest, counts; in light that has changed since its slope
+        along x and y, counts per px, on top of ``ground_slopes``, and the variance of centres by
+        what that slope is not known to, px^2.
     ground_slopes
         (2, 6) slope of its brightness along x and y, counts per px, by `slope_terms`.
     noise

@@ -392,7 +392,8 @@ def track_frame(
     if picture.shape[:2] != rest.size_px:
         raise InputError(
             f"the picture is {picture.shape[1]}x{picture.shape[0]} px, the rest picture "
-            f"{rest.size_px[1]}x{rest.size_px[0]} px: both must come from the same camera mode"
+            f"{rest.size_px[1]}x{rest.size_px[0]} px: both must come from the same camera mode, "
+            "turned the same way"
         )
     if start_px is not None and np.shape(start_px) != rest.rest_px.shape:
         raise InputError(
