@@ -249,7 +249,7 @@ def _predicted(bench: Bench, name: str, chain: Chain, printed_mm: float | None) 
     ways = {"tracker and inverse: this project's": ours}
     if not bench.quick:
         ways = {
-            "capture chain: an industrial camera": replace(chain, overrides=quiet),
+            CAMERA: replace(chain, overrides=quiet),
             **ways,
             "camera, tracker and inverse": replace(ours, overrides=quiet),
         }
@@ -696,8 +696,8 @@ def in_short(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
                 name: of(paper, what)
                 for name, what in {
                     "shift": "standard deviation of a shift",
-                    "width": "full width at half maximum of a narrow force",
-                    "apart": "least distance of two narrow forces",
+                    "width": WIDTH,
+                    "apart": LEAST,
                     "field": "field error",
                 }.items()
             }
