@@ -305,7 +305,6 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
     from twin.study.frames import read_picture
     from twin.study.sensor import SATURATED, Sensor
 
-    # Track the second rest picture against the first: nothing should have moved.
     if scene.camera is None:
         raise RecipeError("this scene has no [camera] table: two rest pictures can't be compared")
     sensor = Sensor(scene)
@@ -323,13 +322,10 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
             f"{first}, {second}: show {int(seen.sum())} of the scene's {len(seen)} markers: are "
             "they this sensor's, upright, of its camera mode, and exposed?"
         )
-    # Measure the scatter of the shifts, what the tracker states, blur, width and saturation.
-    common = np.median(found.shift_px[seen], axis=0)
-    measured = found.scatter_px
+    # Measure what the tracker states, blur, width, saturation and noise.
     stated = float(np.median(found.sd_px[seen]))
-    usual = rest.usual_sd_px[seen]
     assert found.usual_sd_px is not None
-    coherence = float(np.median(found.usual_sd_px[seen] / usual))
+    coherence = float(np.median(found.usual_sd_px[seen] / rest.usual_sd_px[seen]))
     fits = [group for group in rest.groups if isinstance(group, DiscFit)]
     blur = max((float(np.nanmedian(fit.templates.blur_px)) for fit in fits), default=0.0)
     width = min(group.look.diameter_px for group in rest.groups)
@@ -346,27 +342,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
         problems.append(f"{100 * full:.2g} % of the pixels are saturated: expose less")
     if blur > BLURRED * width:
         problems.append(f"edges are blurred by {blur:.2g} px in markers {width:.3g} px wide: focus")
-    if measured > UNTRUE * stated:
-        problems.append(
-            f"shifts differ by {measured:.2g} px, not by the stated {stated:.2g} px: does the "
-            "light flicker, or something move?"
-        )
-    if measured < SHARED_NOISE * stated:
-        problems.append(
-            f"shifts differ by {measured:.2g} px only, the stated error is {stated:.2g} px: the "
-            "pictures are hardly two exposures; switch off averaging over frames"
-        )
-    if np.hypot(*common) > max(MOVED * 1.25 * stated / np.sqrt(seen.sum()), 0.01):
-        problems.append(
-            f"all markers moved by {common[0]:.2g}, {common[1]:.2g} px: mount the camera tighter"
-        )
-    alone = np.hypot(*(found.shift_px[seen] - common).T)
-    moved = alone > TOUCHED * max(measured, stated)
-    if moved.sum() >= TOUCHED_MARKERS:
-        problems.append(
-            f"{int(moved.sum())} markers moved against the others, by up to {alone.max():.2g} px: "
-            "did something touch the sensor in one of the pictures?"
-        )
+    problems += _motion_problems(found, stated)
     answer = "no: " + "; ".join(problems) if problems else "yes"
     if coherence > COHERENT and seen.mean() >= FEW:  # else markers may be taken for others
         answer += (
@@ -375,7 +351,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
         )
     size = {"seen": int(seen.sum()), "markers": len(seen), "width_px": width}
     light = {"noise_counts": noise, "saturated_pct": 100 * full}
-    shift = {"measured_px": measured, "stated_px": stated}
+    shift = {"measured_px": found.scatter_px, "stated_px": stated}
     pixels = "errors {ratio:.2g} times as large as from noise in single pixels"
     dark = "{noise_counts:.2g} counts, {saturated_pct:.2g} % of the pixels saturated"
     sds = "{measured_px:.2g} px measured, {stated_px:.2g} px stated (standard deviation)"
@@ -388,6 +364,35 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
         *_force_noise(sensor.nominal, found),
         fact("good enough", answer, mark=": "),
     ]
+
+
+def _motion_problems(found: Found, stated_px: float) -> list[str]:
+    """Return what is wrong with shifts where nothing should have moved."""
+    seen, measured = found.seen, found.scatter_px
+    common = np.median(found.shift_px[seen], axis=0)
+    problems = []
+    if measured > UNTRUE * stated_px:
+        problems.append(
+            f"shifts differ by {measured:.2g} px, not by the stated {stated_px:.2g} px: does the "
+            "light flicker, or something move?"
+        )
+    if measured < SHARED_NOISE * stated_px:
+        problems.append(
+            f"shifts differ by {measured:.2g} px only, the stated error is {stated_px:.2g} px: the "
+            "pictures are hardly two exposures; switch off averaging over frames"
+        )
+    if np.hypot(*common) > max(MOVED * 1.25 * stated_px / np.sqrt(seen.sum()), 0.01):
+        problems.append(
+            f"all markers moved by {common[0]:.2g}, {common[1]:.2g} px: mount the camera tighter"
+        )
+    alone = np.hypot(*(found.shift_px[seen] - common).T)
+    moved = alone > TOUCHED * max(measured, stated_px)
+    if moved.sum() >= TOUCHED_MARKERS:
+        problems.append(
+            f"{int(moved.sum())} markers moved against the others, by up to {alone.max():.2g} px: "
+            "did something touch the sensor in one of the pictures?"
+        )
+    return problems
 
 
 def _force_noise(scene: Scene, found: Found) -> list[Fact]:
