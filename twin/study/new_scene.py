@@ -215,6 +215,21 @@ assumed = "{colour} dots, as given to twin scenes --new"
     return text, extent, unseen
 
 
+def _sites(pad: Pad, pitch: float, extent: tuple[float, float]) -> tuple[float, int, int]:
+    """Return pitch, columns and rows of the sites of forces, over the dots but no further apart
+    than a press is wide on thin rubber: by sites 1.75 to 3 mm apart on 3 mm forces were 40 to 60 %
+    off, by 0.9 mm 2 to 23.
+    """
+    *sides, thickness = pad.size_mm
+    site = min(pitch, 0.3 * thickness)
+    site = max(site, min(max(extent) / (MOST_SITES - 1), min(sides) / 3, 10))
+    columns, rows = (
+        min(int(own / site + 1e-6) + 1, int(side / site + 1e-6), 64)
+        for own, side in zip(extent, sides, strict=True)
+    )
+    return site, columns, rows
+
+
 def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
     """Return the text of a recipe, and a line on dots that the camera doesn't see; `InputError` for
     numbers out of range, or dots that don't fit.
@@ -247,14 +262,7 @@ def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
     probe = 0.24 * min(sides)
     depth = min(0.12 * thickness, 0.08 * probe)
     force = 16 / 9 * pad.modulus_mpa * math.sqrt(probe / 2) * depth**1.5
-    # The sites of forces lie over the dots, but no further apart than this press is wide on thin
-    # rubber: by sites 1.75 to 3 mm apart on 3 mm forces were 40 to 60 % off, by 0.9 mm 2 to 23.
-    site = min(layers[0][1], 0.3 * thickness)
-    site = max(site, min(max(extent) / (MOST_SITES - 1), min(sides) / 3, 10))
-    site_columns, site_rows = (
-        min(int(own / site + 1e-6) + 1, int(side / site + 1e-6), 64)
-        for own, side in zip(extent, sides, strict=True)
-    )
+    site, site_columns, site_rows = _sites(pad, layers[0][1], extent)
     coat = min(0.1, layers[0][0] / 5)
     ground = [0.35] * 3 if len(layers) == 1 else [0.03] * 3
     corners = [[x, y, led_z] for x in (led, -led) for y in (led, -led)]
