@@ -7,15 +7,15 @@ loads add with ``+``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import model_validator
 
-from twin.arrays import Chart, Floats, Points, frozen
+from twin.arrays import Bools, Chart, Floats, Points, frozen
 from twin.display import one_line, vector
 from twin.errors import InputError, RecipeError, require
 from twin.parts.part import Force, Part, Place, Size
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from twin.parts.shape import Body
 
 Vector = tuple[float, float, float]
+
+HAIR_MM = 1e-6
+"""Depth at which distances from faces are measured, of bodies with dents."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +51,7 @@ class Rectangles:
     def __str__(self) -> str:
         return f"{len(self)} patches with {vector(self.total_force_n, 'N')}"
 
-    def __getitem__(self, part: slice) -> Rectangles:
+    def __getitem__(self, part: slice | Bools) -> Rectangles:
         return Rectangles(**{name: array[part] for name, array in vars(self).items()})
 
     @staticmethod
@@ -70,6 +73,65 @@ class Rectangles:
         across = self.half_mm[:, None, :] * signs
         turned = np.einsum("kca,kai->kci", across, self.frames[:, :2])
         return np.asarray(self.centre_mm[:, None] + turned)
+
+    def within(self, body: Body) -> Points:
+        """Return (k, 3) the rectangles' centres, mm, from where a body's faces are as far as they
+        are.
+
+        Of a body with dents they are a hair below the surface: on it the plane of a face that lies
+        beyond a dent counts as the face (`twin.geometry.pieces`).
+        """
+        if body.is_convex:
+            return self.centre_mm
+        return np.asarray(self.centre_mm + HAIR_MM * self.frames[:, 2])
+
+    def reach_towards(self, body: Body) -> Floats:
+        """Return (k, pieces) mm: how far each rectangle reaches from its centre towards a body's
+        faces."""
+        along = np.einsum("kpi,kai->kpa", body.piece_normals(self.within(body)), self.frames[:, :2])
+        return np.asarray(np.einsum("kpa,ka->kp", np.abs(along), self.half_mm))
+
+    def cut_at_edges(self, body: Body, shortest: Callable[[Points], Floats]) -> Rectangles:
+        """Return the same load with rectangles that reach near a free face, for their size, halved
+        until none is longer than twice its distance from that face.
+
+        What a wide load leaves out of balance there comes from its border, not from its middle.
+
+        Parameters
+        ----------
+        body
+            What is loaded; rectangles on a surface with a smooth border stay whole.
+        shortest
+            Half sides (k,), mm, by places (k, 3): of rectangles there that aren't halved.
+        """
+        free = [piece for piece in range(1, len(body.pieces)) if piece not in body.held_pieces]
+        if not free or (body.has_smooth_border and not body.is_flat):
+            return self
+        done: list[Rectangles] = []
+        left = self
+        while len(left):
+            gap = body.piece_distances(left.within(body)) - left.reach_towards(body)
+            least = np.maximum(gap[:, free].min(axis=1), shortest(left.centre_mm))
+            wide = left.half_mm.max(axis=1) > least
+            if len(done) == 0 and not wide.any():
+                return self
+            done.append(left[~wide])
+            left = left[wide]
+            row, longer = np.arange(len(left)), left.half_mm.argmax(axis=1)
+            half = left.half_mm.copy()
+            half[row, longer] /= 2.0
+            aside = half[row, longer, None] * left.frames[row, longer]
+            one, other = (
+                replace(
+                    left,
+                    centre_mm=left.centre_mm + way * aside,
+                    half_mm=half,
+                    force_n=left.force_n / 2.0,
+                )
+                for way in (-1.0, 1.0)
+            )
+            left = Rectangles.joined([one, other])
+        return Rectangles.joined(done)
 
     @property
     def total_force_n(self) -> Floats:

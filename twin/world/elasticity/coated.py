@@ -36,7 +36,6 @@ from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.world.elasticity.cache import PointCache
 from twin.world.elasticity.compliance import Compliance, Method
-from twin.world.elasticity.discretise import within
 from twin.world.elasticity.error_law import EXPECTED, unbounded
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.interpolated import patch_corrections
@@ -369,7 +368,7 @@ class Ladder:
         width = np.full(len(load), np.inf)
         free = [piece for piece in range(1, len(body.pieces)) if piece not in body.held_pieces]
         if free and (body.is_flat or not body.has_smooth_border):
-            away = body.piece_distances(within(body, load))[:, free].min(axis=1)
+            away = body.piece_distances(load.within(body))[:, free].min(axis=1)
             width = BESIDE * np.maximum(away, load.half_mm.max(axis=1))
         if not body.is_flat and body.own_surface is None:  # triangles are no finer than they are
             width = np.minimum(width, WITHIN * size)

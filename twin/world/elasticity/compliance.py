@@ -428,8 +428,8 @@ class Compliance:
         if smooth is not None:
             parts.append(rough * smooth)
         if table is None and not direct:
-            edge_mm = self._locator.edges(load.centre_mm)
-            parts.append(missed_by_mesh(self.body, known.points, load, edge_mm) / self._modulus)
+            missed = missed_by_mesh(self.body, known.points, load, self._locator.edges)
+            parts.append(missed / self._modulus)
         return moved, parts
 
     def _rough(self, known: PointCache, load: Rectangles, w: Points) -> Points:

@@ -45,9 +45,6 @@ STANDS_OUT_MM = 1e-3
 """How far a body may reach over a load's plane: corners in a file are rounded."""
 
 
-HAIR_MM = 1e-6
-"""Depth at which distances from faces are measured, of bodies with dents."""
-
 EDGE_MM, OVERHANG = 1e-4, 0.25
 """How near to another face a rectangle's centre may be, and which share of its half side may hang
 over that face: what is nearer or hangs over pushes partly on nothing, and the half-space's
@@ -102,17 +99,6 @@ def _footprint_centre(traction: Traction, body: Body) -> Points:
     )
 
 
-def within(body: Body, load: Rectangles) -> Points:
-    """Return (k, 3) the rectangles' centres, mm, from where a body's faces are as far as they are.
-
-    Of a body with dents they are a hair below the surface: on it the plane of a face that lies
-    beyond a dent counts as the face (`twin.geometry.pieces`).
-    """
-    if body.is_convex:
-        return load.centre_mm
-    return np.asarray(load.centre_mm + HAIR_MM * load.frames[:, 2])
-
-
 def require_on_surface(body: Body, load: Rectangles, *, half_space: bool = True) -> None:
     """Raise an `InputError` unless every rectangle is made of finite numbers and lies on the
     sensing surface.
@@ -133,7 +119,7 @@ def require_on_surface(body: Body, load: Rectangles, *, half_space: bool = True)
                 f"rectangle {first}: its {what} {values[first]} {unit} is not finite: check the "
                 "load"
             )
-    distances = body.piece_distances(within(body, load))
+    distances = body.piece_distances(load.within(body))
     inside = distances[:, 1:].min(axis=1)
     off = (np.abs(distances[:, 0]) > ON_SURFACE_MM) | (inside < -ON_SURFACE_MM)
     if off.any():
