@@ -463,6 +463,24 @@ def test_drawn_dots_without_grey_levels(shape, radius):
     assert 0.5 < np.sqrt(np.mean((error / found.sd_px[:, None]) ** 2)) < 2.0
 
 
+@pytest.mark.parametrize("quality", [60, 75, 90])
+@pytest.mark.parametrize("line", [2.0, 12.0])
+def test_drawn_dots_and_rings_state_what_a_jpeg_leaves_of_them(quality, line):
+    """From even ground away from them, which a JPEG makes flat: up to 12 times too little."""
+    size, layout = (500, 380), {"dots": flat_layout(8, 6, 56.0, (53.3, 49.7))["red"]}
+    x, y = np.meshgrid(*map(np.arange, size))
+    motion = (layout["dots"] - 200.0) * [0.02, -0.015] + [1.37, -0.81]
+    pair = []
+    for seed, moved in enumerate((0.0, motion)):
+        away = np.min([np.hypot(x - a, y - b) for a, b in layout["dots"] + moved], axis=0)
+        inside = (away < 12.0) & (away >= 12.0 - line)
+        pair.append(jpeg(expose(np.where(inside, 200.0, 40.0)[..., None] * np.ones(3), seed), quality))
+    found = track(*pair, layout)
+    error = found.shift_px - motion
+    assert found.seen.all()
+    assert 0.25 < np.sqrt(np.mean((error / found.sd_px[:, None]) ** 2)) < 1.5
+
+
 @pytest.mark.parametrize(("apart", "count", "frame"), [(22.0, (8, 6), 40), (22.0, (2, 2), 40), (150.0, (2, 2), 0)])
 def test_dark_dots_are_found_where_a_dark_frame_fills_more_of_the_picture_or_they_are_far_apart(apart, count, frame):
     (x, y), size = np.meshgrid(np.arange(320), np.arange(240)), np.array([320, 240])

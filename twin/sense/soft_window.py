@@ -17,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dctn
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Ints, Picture, Pixels
@@ -32,7 +33,7 @@ from twin.sense.centre import (
     Look,
     Seen,
 )
-from twin.sense.colour import Signal, project
+from twin.sense.colour import LUMA, Signal, project
 from twin.sense.detect import SD_FLOOR_PX, Blobs
 from twin.sense.match import GATE, Neighbourhood, spacing
 
@@ -61,6 +62,16 @@ crosses eight times the radius, .6 of them evenly."""
 GATHERED = 0.047
 """Standard deviation of a centroid, times the radius, where all of an edge lies alike on pixels
 that gather light: a pixel's share f of it has its middle f (1 - f) / 2 off the pixel's."""
+
+LEAST_WAVE_DN, QUANTISED = 0.8, 0.06
+"""Amplitude that rounding to counts leaves of waves that a JPEG has left out (.3, standard
+deviation), and by how much more of them its own blocks lack."""
+
+FINE = np.add.outer(np.arange(8), np.arange(8)) > 5
+"""Waves of a block that a JPEG leaves out first."""
+
+BEYOND_PX = 2.0
+"""A JPEG's noise is largest in blocks with an edge: taken is that from so far off the edge on."""
 
 LOST = 1.5
 """Standard deviations of sharp markers' light up to which one has less than others by chance."""
@@ -147,7 +158,7 @@ class SoftWindow(CentreEstimator):
         if found.any():
             pair[found] = cKDTree(look.blobs.centre_px).query(self.spot_px[found])[1]
         signal = self._above_ground(picture)
-        plain = _plain_centroids(signal, look.blobs)
+        plain = _plain_centroids(signal, look.blobs, _is_compressed(picture))
         return replace(self._of_spots(replace(look, blobs=plain), pair), sharp=True)
 
     def _above_ground(self, picture: Picture) -> Signal:
@@ -189,7 +200,7 @@ class SoftWindow(CentreEstimator):
             signal, look.diameter_px, look.contrast_dn, look.floor_dn, look.hole_px
         )
         if self.sharp:
-            blobs = _plain_centroids(signal, blobs)
+            blobs = _plain_centroids(signal, blobs, _is_compressed(picture))
         # From a cold start the whole lattice is followed, also where it goes on beyond the layout.
         here = self._whole_lattice if start_px is None and len(self._spare[1]) else self
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -293,7 +304,22 @@ class SoftWindow(CentreEstimator):
         )
 
 
-def _plain_centroids(signal: Signal, blobs: Blobs) -> Blobs:
+def _is_compressed(picture: Picture) -> bool:
+    """Return whether a picture is a JPEG's: of its own blocks of 8 x 8 pixels, where these aren't
+    even, more fine waves have no amplitude than of blocks that lie across."""
+    bright = picture @ LUMA
+    shares = []
+    for begin in (0, 4):
+        part = bright[begin:, begin:]
+        rows, columns = part.shape[0] // 8, part.shape[1] // 8
+        blocks = part[: 8 * rows, : 8 * columns].reshape(rows, 8, columns, 8).swapaxes(1, 2)
+        waves = np.abs(dctn(blocks, axes=(2, 3), norm="ortho"))
+        uneven = waves[:, :, FINE].max(axis=2) > LEAST_WAVE_DN
+        shares.append((waves[uneven][:, FINE] < LEAST_WAVE_DN).mean() if uneven.any() else 0.0)
+    return bool(shares[0] > shares[1] + QUANTISED)
+
+
+def _plain_centroids(signal: Signal, blobs: Blobs, compressed: bool) -> Blobs:
     """Return the spots with the centroids of all their light, how far these may be off, and the
     light over its brightness for the area.
 
@@ -322,12 +348,13 @@ def _plain_centroids(signal: Signal, blobs: Blobs) -> Blobs:
             continue
         area[k] = mass
         centre[k] += (light.sum(axis=0) @ x / mass, light.sum(axis=1) @ y / mass)
-        by_noise[k] = 0.5 * light[rim].var() * far[near].sum() / mass**2
+        noisy = near & (far > (radius[k] + BEYOND_PX) ** 2) if compressed else rim
+        by_noise[k] = 0.5 * light[noisy].var() * far[near].sum() / mass**2
         for axis, place in enumerate((x, y)):
             line = inside.sum(axis=axis)
             ends = np.flatnonzero(line)[[0, -1]]
             by_steps[k] += ((line[ends] * place[ends]) ** 2).sum() / 24.0 / mass**2
-        clear = np.clip(CLEAR_SD * light[rim].std(), *BETWEEN)
+        clear = np.clip(CLEAR_SD * light[noisy].std(), *BETWEEN)
         soft = np.count_nonzero(np.abs(light - 0.5) < 0.5 - clear)
         between[k] = soft / (OF_LIGHT * radius[k] * (1.0 - 2.0 * clear))
     usual = np.nanmedian(between[blobs.whole]) if blobs.whole.any() else 0.0

@@ -94,7 +94,7 @@ class Frame:
 
 def read_picture(path: str | os.PathLike[str]) -> Picture:
     """Read a PNG, BMP or JPEG file as (h, w, 3) or, if grey, (h, w) uint8; uint16 of a PNG of 16
-    bits a channel. A JPEG is turned as its EXIF says, as viewers show it.
+    bits a channel. A JPEG is turned upright by its EXIF, as viewers show it.
 
     Raises an `InputError` where it is damaged, or its pixels are of another kind.
     """
