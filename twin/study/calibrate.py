@@ -85,7 +85,7 @@ SMALLEST_SHARE = 0.5
 
 DISAGREE = 0.1
 """Median error of presses predicted from the others, over their motion, from which to warn. Sound
-recordings have 0.01 to 0.04."""
+recordings of gel pads have 0.01 to 0.02."""
 
 MISTAKEN, SURE = 0.7, 0.8
 """Columns of the table are swapped or of the wrong sign where motion agrees with them as given less
