@@ -168,8 +168,8 @@ def test_frames_that_leds_light_in_turn_are_tracked_from_the_rest_pictures_of_th
     sensor = Sensor(scene)
     for group, rest in enumerate(rests):
         np.testing.assert_array_equal(rest, sensor.picture(None, frame=2 + group))
-    assert worst_rms(scene, tmp_path, frames, rests) < 0.02
-    assert worst_rms(scene, tmp_path, frames, rests[:1]) > 0.03, "shades move the centres"
+    for some in (rests, rests[:1]):  # by the other group's alone .034 px, where changed light was not followed
+        assert worst_rms(scene, tmp_path, frames, some) < 0.02
     # The command reads the folder, and counts a frame that it can't read.
     calibrate_to_file(scene, tmp_path / "gel.npz")
     (tmp_path / "frames" / "000001.png").write_bytes(b"damaged")
