@@ -441,6 +441,30 @@ def test_whole_thin_block_states_how_far_it_is_from_a_slab_of_revolution(probe, 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("probe", "force", "size", "law"),
+    [
+        (Cone(diameter_mm=5, apex_deg=118), 0.36, (25, 25, 4), {"law": "yeoh", "law_ratios": (0.3, 0.3)}),
+        (Cone(diameter_mm=8, apex_deg=114), 0.79, (100, 90, 40), {"law": "mooney_rivlin", "law_ratios": (0.4,)}),
+        (Cylinder(diameter_mm=1.85, edge_mm=0.222), 0.38, (24, 16, 7), {"law": "neo_hookean"}),
+    ],
+    ids=["sharp tip on rubber that stiffens", "sharp tip", "close to a flat face"],
+)
+def test_whole_block_states_what_it_misses_close_to_a_sharp_probe(probe, force, size, law):
+    """Half as much as is left was stated under sharp tips."""
+    press = twin.Press(probe=probe, force_n=(0, 0, force))
+    sides = zip(("width_mm", "length_mm", "thickness_mm"), size, strict=True)
+    linear = made("linear", **{f"body.{side}": length for side, length in sides})
+    state, material = linear.press(press), linear.nominal.material.model_copy(update=law)
+    places = state.contact_radius_mm * np.array([[r, 0.0, z] for z in (0.5, 1.0) for r in (0.0, 0.25, 0.5, 0.75, 1.0)])
+    given = press, linear.nominal.body, material, state, places
+    slab, whole = round_slab.SlabStrain(*given), BodyStrain(*given)
+    missed = whole.displacement(places) - slab.displacement(places)
+    left = largest(missed) / largest(linear.displacement(places, state))
+    assert left < whole.error.markers < 4.0 * left
+
+
+@pytest.mark.slow
 def test_two_far_spheres_sink_as_one_does():
     """The slab of revolution solves the one; 16 mm away the other moves the surface by a per cent of the depth."""
     ball = Sphere(diameter_mm=3)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from itertools import pairwise, takewhile
 
@@ -83,29 +83,42 @@ _LEAST_RIM, _COARSE_RIM = 0.1, 0.2
 """Least radius of a flat face's rim over its half width, and on the coarser mesh. On rubber thicker
 than the face is wide what linear theory leaves out hardly depends on it (docs/validity.md)."""
 
-_TOLERANCE = Share(indentation=5e-4, markers=1.5e-3)
+_TOLERANCE = Share(indentation=2e-4, markers=1.5e-3)
 """What Newton's steps leave, and both meshes miss, over the largest displacement."""
 
 
 @dataclass(frozen=True)
 class _Shares:
     """The least error over what linear theory leaves out at a point, its growth per contact radius
-    away from the contact's middle, the error over the change to the coarser mesh, and the
-    indentation's error over what linear theory leaves out of the displacement."""
+    away from the contact's middle, the error over the change to the coarser mesh, the indentation's
+    error over what linear theory leaves out of the displacement, and the least error times a
+    point's distance from the contact over its radius, which hardly depends on the strain."""
 
     near: float
     growth: float
     change: float
     sunk: float
+    shallow: float = 0.0
 
 
 _ROUND = _Shares(0.025, 0.08, 0.4, 0.04)
-_SHARP = _Shares(0.11, 0.11, 0.7, 0.04)
-_ROUNDED = _Shares(0.11, 0.11, 1.2, 0.04)
-_POINTED = _Shares(0.22, 0.22, 0.7, 0.08)
-"""Under spheres, under cones and flat faces, under faces that are solved with a rounder rim, and
-under cones on rubber that stiffens where their tips strain it most (docs/validity.md): from mesh to
-mesh of one body the change scatters four times as much as the error."""
+_BLUNT = _Shares(0.11, 0.11, 0.7, 0.04)
+_FLAT = _Shares(0.11, 0.11, 0.7, 0.08, 0.0026)
+_ROUNDED = _Shares(0.11, 0.11, 1.2, 0.08, 0.0026)
+_SHARP = _Shares(0.3, 0.3, 0.7, 0.04)
+"""Under spheres, under cones, under flat faces, under those that are solved with a rounder rim, and
+under cones with sharp tips (docs/validity.md): from mesh to mesh of one body the change scatters
+four times as much as the error."""
+
+_STIFF, _STIFF_SUNK = 2.0, 2.5
+"""How many times larger these are on rubber that stiffens, where the tips of cones strain it most,
+and those of the indentation under cones and flat faces."""
+
+_CLOSE = 0.3
+"""Points closer to the contact, over its radius, have the error of those."""
+
+_SHARP_TIP = 0.5
+"""A cone whose tip has a smaller radius, over the contact's, is sharp."""
 
 _SLIPPING = 0.8
 """The largest share of a flat face with friction that may slip: points come under its front as it
@@ -180,12 +193,22 @@ class BodyStrain(FiniteStrain):
             centre, size = self._contacts[0][1][-1]
             inward = body.piece_normals(centre[None])[0, 0]
             watched = centre + size * np.linspace(0.3, 1.0, 8)[:, None] * inward
-        round_ = all(isinstance(one.probe, Sphere) for one in presses)
-        self._shares = _ROUND if round_ else _SHARP
-        if any(one is not made for one, made in zip(sharp, approaches, strict=True)):
-            self._shares = _ROUNDED
-        if strain_law(material).stiffens and any(isinstance(p.probe, Cone) for p in presses):
-            self._shares = _POINTED
+        self._shares = _ROUND
+        for one, made in zip(sharp, approaches, strict=True):
+            probe = one.probe
+            if isinstance(probe, Cone):
+                sharp_tip = probe.tip_mm < _SHARP_TIP * state.contact_radius_mm
+                own = _SHARP if sharp_tip else _BLUNT
+            elif isinstance(probe, Sphere):
+                own = _ROUND
+            else:
+                own = _FLAT if one is made else _ROUNDED
+            if strain_law(material).stiffens and not isinstance(probe, Sphere):
+                more = _STIFF if isinstance(probe, Cone) else 1.0
+                near, growth, sunk = own.near * more, own.growth * more, own.sunk * _STIFF_SUNK
+                own = replace(own, near=near, growth=growth, sunk=sunk)
+            most = zip(astuple(self._shares), astuple(own), strict=True)
+            self._shares = _Shares(*(max(pair) for pair in most))
         self._first = _COARSE if coarse else _FINE
         least = _TOLERANCE, Share(indentation=self._shares.sunk)
         super().__init__(axes, state, watched, self._shares.change, least)
@@ -201,11 +224,14 @@ class BodyStrain(FiniteStrain):
         """What a coarser mesh changes, or a share of what linear theory leaves out, and what
         friction adds."""
         found = super().error
-        places = [_place(one) for one in _probes(self._state)]
+        probes = _probes(self._state)
+        places = [_place(one) for one in probes]
         away = [np.linalg.norm(self._watched - middle, axis=1) / size for middle, size in places]
         shares = self._shares.near + self._shares.growth * np.min(away, axis=0)
         least = MixedRubber.largest(shares[:, None] * self.displacement(self._watched))
-        markers = max(found.markers, least / self._largest_mm + _TOLERANCE.markers)
+        close = min(_away(one, self._watched).min() / one.contact_radius_mm for one in probes)
+        shallow = self._shares.shallow / max(close, _CLOSE)
+        markers = max(found.markers, least / self._largest_mm + _TOLERANCE.markers, shallow)
         found = replace(found, markers=markers)
         if not self._rubs:
             return found
@@ -440,14 +466,18 @@ class BodyStrain(FiniteStrain):
         return linear, contact.settled(start, by_force, given, LAST_STEP, linear=False)
 
 
-def _under_patches(state: ContactState, points: Points) -> Bools:
-    """Return (n,) whether points of the surface lie under patches in contact."""
+def _away(state: ContactState, points: Points) -> Floats:
+    """Return (n,) how far points are from a contact's nearest patch, mm."""
     from scipy.spatial import cKDTree
 
-    patches = state.patches
-    assert patches is not None
-    away, _ = cKDTree(patches.centre_mm).query(points)
-    return np.asarray(away < 1.1 * patches.half_mm.max())
+    assert state.patches is not None
+    return np.asarray(cKDTree(state.patches.centre_mm).query(points)[0])
+
+
+def _under_patches(state: ContactState, points: Points) -> Bools:
+    """Return (n,) whether points of the surface lie under patches in contact."""
+    assert state.patches is not None
+    return np.asarray(_away(state, points) < 1.1 * state.patches.half_mm.max())
 
 
 def _rounded(approach: Approach, share: float) -> Approach:

@@ -234,9 +234,9 @@ class MixedRubber:
                     break
         except (NotSettled, SolveError) as found:
             problem = found
+        harder = "material.poisson_ratio = 0.5 or " if self._softness else ""
         raise NotSettled(
             f"contact: at finite strain (material.law = {self._law_name}) Newton's steps did not "
             f"converge in {steps}: press with less force, with a larger or rounder probe "
-            "(press.probe.edge_mm of a flat face), or set material.poisson_ratio = 0.5 or "
-            "material.law = linear"
+            f"(press.probe.edge_mm of a flat face), or set {harder}material.law = linear"
         ) from problem
