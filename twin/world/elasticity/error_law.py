@@ -172,8 +172,8 @@ def missed_by_mesh(
         Lengths (k,) of the mesh's elements at places (k, 3), mm.
     """
     cut = load.cut_at_edges(body, edges)
-    beside = _missed_at_edges(body, points, cut, edges(cut.centre_mm))
-    return beside + _missed_on_curves(body, points, load, edges(load.centre_mm))
+    near = _missed_at_edges(body, points, cut, edges(cut.centre_mm))
+    return near + _missed_on_curves(body, points, load, edges(load.centre_mm))
 
 
 def _missed_at_edges(body: Body, points: Points, load: Rectangles, edge_mm: Floats) -> Points:
