@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,7 @@ from twin.sense.rest_templates import (
     BareGround,
     LayerSignal,
     in_other_light,
+    light_at_rest,
 )
 from twin.sense.shape_fit import NORMAL_MEDIAN, Expected, OwnPictures, fit_shapes
 from twin.sense.shift_error import (
@@ -342,7 +344,7 @@ class DiscFit(SoftWindow):
         """Return (n, `COLUMNS`) fits of all markers, also of those that don't look as at rest."""
         templates = self.templates
         fitted = templates.fit(picture, start_px, lead)
-        if now := in_other_light(picture, templates, fitted, self.around):
+        if now := in_other_light(picture, templates, fitted, self.around, self._light_at_rest):
             templates, fitted = now
         cut = self._cut(fitted, start_px)
         if self.pictures:
@@ -441,6 +443,10 @@ class DiscFit(SoftWindow):
         fitted[taken, RESHAPED] = OWN_SHAPE
         outline[taken] = shape[taken][:, [0, 1, 2, 6]]
         return templates, misfit
+
+    @cached_property
+    def _light_at_rest(self) -> tuple[bool, Floats, Floats]:
+        return light_at_rest(self.templates, self.around)
 
     def _cut(self, fitted: Floats, start_px: Pixels) -> Bools:
         """Return (n,) which markers the picture's frame cuts: less of the edge is in sight, or it

@@ -385,8 +385,23 @@ def _evenly_lit(ground: Floats) -> Floats:
     return np.pad(ground[:, None], ((0, 0), (0, 3)))
 
 
+def light_at_rest(templates: Templates, around: Neighbourhood) -> tuple[bool, Floats, Floats]:
+    """Return whether markers are brighter than the ground, the (n,) brightness at rest of what is,
+    and the (n, 2) slopes of its logarithm, 1/px."""
+    ground = templates.rest[:, GROUND] + templates.own[3]
+    whole = ground + templates.rest[:, LEVEL]
+    shows = bool(medians(np.abs(whole)) > medians(np.abs(ground)))
+    bright = whole if shows else ground
+    logarithm = np.log(np.fmax(np.abs(bright), 1.0))
+    return shows, bright, _local_slopes(logarithm, templates.rest[:, CENTRE], around)[0]
+
+
 def in_other_light(
-    picture: Picture, templates: Templates, fitted: Floats, around: Neighbourhood
+    picture: Picture,
+    templates: Templates,
+    fitted: Floats,
+    around: Neighbourhood,
+    at_rest: tuple[bool, Floats, Floats],
 ) -> tuple[Templates, Floats] | None:
     """Return templates whose brightness slopes as the light does now, and their fits, where that
     has changed from marker to marker since rest; None where it has not.
@@ -394,14 +409,14 @@ def in_other_light(
     Light multiplies what it falls on: the logarithm of the change of the ground, or of the markers
     where these are brighter, is a plane over a marker and its neighbours. Its slope, times the
     ground's and the marker's brightness, is theirs. What lies off the planes is what the slope is
-    not known to. ``fitted`` (n, `COLUMNS`) are the fits without.
+    not known to. ``fitted`` (n, `COLUMNS`) are the fits without; ``at_rest`` is `light_at_rest`.
     """
-    rest, near = templates.rest, around.near
+    near = around.near
     place, level = fitted[:, CENTRE], fitted[:, LEVEL]
-    ground, before = (fit[:, GROUND] + templates.own[3] for fit in (fitted, rest))
-    whole, now = ground + level, ground
-    if medians(np.abs(whole)) > medians(np.abs(ground)):
-        now, before = whole, before + rest[:, LEVEL]
+    ground = fitted[:, GROUND] + templates.own[3]
+    whole = ground + level
+    shows, before, slope_before = at_rest
+    now = whole if shows else ground
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.log(np.clip(now / before, *LIGHT))
     # A slope of the ground moves a centre by the sum of edge times slope over that of the edge
@@ -415,8 +430,7 @@ def in_other_light(
     if np.count_nonzero(known) < LINEAR or not np.mean(step[known] ** 2) > RELIT**2:
         return None
     # less what markers that have moved see of the light at rest
-    at_rest = _local_slopes(np.log(np.fmax(np.abs(before), 1.0)), rest[:, CENTRE], around)[0]
-    change -= ((place - rest[:, CENTRE]) * at_rest).sum(axis=1)
+    change -= ((place - templates.rest[:, CENTRE]) * slope_before).sum(axis=1)
     slope, off, left = _local_slopes(change, place, around)
     if left > UNLIT:
         return None
