@@ -324,16 +324,15 @@ def test_16_bit_colours_are_read_whole(tmp_path):
             read_picture(tmp_path / f"{name}.png")
 
 
-@pytest.mark.parametrize(("orientation", "turned"), [(1, lambda p: p), (2, np.fliplr), (3, lambda p: np.rot90(p, 2)),
-    (4, np.flipud), (5, lambda p: np.swapaxes(p, 0, 1)), (6, lambda p: np.rot90(p, -1)),
-    (7, lambda p: np.rot90(np.swapaxes(p, 0, 1), 2)), (8, np.rot90), (77, lambda p: p)])  # fmt: skip
-def test_a_phones_picture_is_read_upright(tmp_path, orientation, turned):
+@pytest.mark.parametrize("orientation", [1, 3, 6])
+def test_how_a_phone_was_held_turns_no_picture(tmp_path, orientation):
+    """Held over a sensor it takes any way for upright, another for the next picture."""
     stored = np.random.default_rng(2).integers(256, size=(16, 24, 3)).astype(np.uint8)
     exif = Image.Exif()
     exif[0x0112] = orientation
     Image.fromarray(stored).save(tmp_path / "phone.jpg", exif=exif, quality=95)
     Image.fromarray(stored).save(tmp_path / "plain.jpg", quality=95)
-    assert_array_equal(read_picture(tmp_path / "phone.jpg"), turned(read_picture(tmp_path / "plain.jpg")))
+    assert_array_equal(read_picture(tmp_path / "phone.jpg"), read_picture(tmp_path / "plain.jpg"))
 
 
 def test_a_bumped_camera_and_a_turned_picture_are_said(folder):

@@ -32,18 +32,6 @@ _DECODERS = ("PNG", "BMP", "JPEG")
 """Pillow's decoders that may open a picture. A file's content chooses the decoder, not its name,
 and others start programs (EPS: Ghostscript) or are seldom tested."""
 
-_ORIENTATION = 0x0112
-_TURNS = {
-    2: "FLIP_LEFT_RIGHT",
-    3: "ROTATE_180",
-    4: "FLIP_TOP_BOTTOM",
-    5: "TRANSPOSE",
-    6: "ROTATE_270",
-    7: "TRANSVERSE",
-    8: "ROTATE_90",
-}
-"""EXIF's tag of how a phone was held, and what turns its picture upright."""
-
 _CONTAINERS = "mov,avi,matroska,mpeg,mpegts,mpegvideo,m4v"
 """ffmpeg's demuxers that may open a video: those of `VIDEOS`. Others read lists of further
 files."""
@@ -94,7 +82,7 @@ class Frame:
 
 def read_picture(path: str | os.PathLike[str]) -> Picture:
     """Read a PNG, BMP or JPEG file as (h, w, 3) or, if grey, (h, w) uint8; uint16 of a PNG of 16
-    bits a channel. A JPEG is turned upright by its EXIF, as viewers show it.
+    bits a channel. EXIF's turn follows how a phone was held, not its sensor: it doesn't count.
 
     Raises an `InputError` where it is damaged, or its pixels are of another kind.
     """
@@ -122,11 +110,7 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
                 raise InputError(
                     f"{path}: its colours are {mode}, must be RGB or grey: convert it first"
                 )
-            upright = image.convert("L" if mode in ("L", "1", "LA") else "RGB")
-            turn = image.getexif().get(_ORIENTATION, 1) if image.format == "JPEG" else 1
-            if turn in _TURNS:
-                upright = upright.transpose(Image.Transpose[_TURNS[turn]])
-            return np.array(upright)
+            return np.array(image.convert("L" if mode in ("L", "1", "LA") else "RGB"))
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such picture") from None
     except UnidentifiedImageError:
