@@ -129,5 +129,5 @@ def test_the_commands_of_the_page_run(tmp_path, monkeypatch, says):
         told.append(says(0, *shlex.split(command)[1:]))
     assert ": ok" in told[1]
     assert "without source" not in told[1]
-    assert "165 dark dots, 15 columns x 11 rows, square" in told[2]
+    assert "324 dark dots, 18 columns x 18 rows, square" in told[2]
     assert {"markers.toml", "markers.png"} <= {path.name for path in tmp_path.iterdir()}
