@@ -22,7 +22,7 @@ SILICONE, ACRYLIC = 1.41, 1.49
 SEEN = 0.95
 """Share of the picture that dots may lie in."""
 
-MOST_SITES = 21
+MOST_SITES = 29
 """Columns or rows of the forces' grid, but on long strips."""
 
 LEAST_DOTS = 3
