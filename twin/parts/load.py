@@ -104,14 +104,13 @@ class Rectangles:
         shortest
             Half sides (k,), mm, by places (k, 3): of rectangles there that aren't halved.
         """
-        free = [piece for piece in range(1, len(body.pieces)) if piece not in body.held_pieces]
-        if not free or (body.has_smooth_border and not body.is_flat):
+        if not body.edge_pieces:
             return self
         done: list[Rectangles] = []
         left = self
         while len(left):
             gap = body.piece_distances(left.within(body)) - left.reach_towards(body)
-            least = np.maximum(gap[:, free].min(axis=1), shortest(left.centre_mm))
+            least = np.maximum(gap[:, body.edge_pieces].min(axis=1), shortest(left.centre_mm))
             wide = left.half_mm.max(axis=1) > least
             if len(done) == 0 and not wide.any():
                 return self

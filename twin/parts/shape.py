@@ -135,6 +135,14 @@ class Body(Part):
         return (len(self.pieces) - 1,)
 
     @property
+    def edge_pieces(self) -> list[int]:
+        """Indices into `pieces` of the free ones at whose edges the sensing surface may end; none
+        where it goes on beyond a smooth border."""
+        if self.has_smooth_border and not self.is_flat:
+            return []
+        return [piece for piece in range(1, len(self.pieces)) if piece not in self.held_pieces]
+
+    @property
     def is_flat(self) -> bool:
         """Whether the sensing surface is a plane."""
         return False

@@ -160,15 +160,16 @@ def _first_look(
     (width, blobs), hole_px = _sought(*seek), 0
     found = _nearest(nominal, blobs.centre_px, blobs.whole)
     if len(found) < MOST * len(nominal) or blobs.hollow(signal, found):  # rings, maybe
-        rings, holes = [], np.ceil(np.multiply(HOLES, spacing(nominal))).astype(int).tolist()
-        for hole in holes:
-            _, filled = _sought(*seek, hole)
+        holes = np.ceil(np.multiply(HOLES, spacing(nominal))).astype(int).tolist()
+        tried = [_sought(*seek, hole) for hole in holes]
+        rings = []
+        for _, filled in tried:
             near = _nearest(nominal, filled.centre_px, filled.whole)
             rings.append(len(near) * filled.hollow(signal, near))
         if max(rings) >= MOST * len(nominal):
             best = np.flatnonzero(np.array(rings) == max(rings))
-            hole_px = holes[best[(len(best) - 1) // 2]]  # neither just filled, nor nearly its gaps
-            width, blobs = _sought(*seek, hole_px)
+            middle = best[(len(best) - 1) // 2]  # holes neither just filled, nor nearly the gaps
+            hole_px, (width, blobs) = holes[middle], tried[middle]
     keep = blobs.whole | blobs.cut
     if keep.any():
         usual = float(np.median(blobs.area_px[_nearest(nominal, blobs.centre_px, keep)]))

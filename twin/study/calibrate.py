@@ -61,7 +61,7 @@ And of a fitted thickness: gel pads of 4 mm come out 0.011 mm too thin, 0.007 on
 
 OWN_LEFT, MOST_OFF = 0.025, 0.99
 """Share of the motion that sound presses leave unexplained next to them (0.01 to 0.023 on gel pads
-of 3.6 to 4.2 mm), which does not err totals; and the largest error of a fitted scale that is
+of 3.6 to 4.2 mm), by which totals are not off; and the largest error of a fitted scale that is
 stated."""
 
 FIRST_EXPOSURE = 1000

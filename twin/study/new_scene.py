@@ -19,6 +19,9 @@ from twin.files import write_whole
 SILICONE, ACRYLIC = 1.41, 1.49
 """Refractive indices."""
 
+PLATE_MM = 3.0
+"""Thickness of the plate, but for cameras that are close."""
+
 SEEN = 0.95
 """Share of the picture that dots may lie in."""
 
@@ -138,7 +141,7 @@ def _fov(pad: Pad) -> float:
 
 def _plate_mm(distance: float) -> float:
     """Return the thickness of the plate that the pad lies on, mm."""
-    return min(3.0, distance / 4)
+    return min(PLATE_MM, distance / 4)
 
 
 def _room(side: float, diameter: float) -> float:
@@ -155,7 +158,7 @@ def _distance_to_see_all(pad: Pad, layers: list[tuple[float, float, float]], foc
         for side, px in zip(sides, pad.resolution, strict=True)
     )
     # the plate shortens the way by refraction
-    distance = way + (1 - 1 / ACRYLIC) * min(3.0, way / (3 + 1 / ACRYLIC))
+    distance = way + (1 - 1 / ACRYLIC) * min(PLATE_MM, way / (3 + 1 / ACRYLIC))
     return max(6.0, math.ceil(10 * distance) / 10)
 
 

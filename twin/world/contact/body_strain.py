@@ -34,7 +34,7 @@ from twin.errors import InputError, NotSettled
 from twin.parts.body import Block, Body, Dome, Finger
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
-from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere
+from twin.parts.press import Cone, Cylinder, Pillar, Press, Probe, Sphere
 from twin.world.contact.contact_state import ContactState, Share
 from twin.world.contact.mixed_rubber import MixedRubber
 from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, TURN, Approach, Z, half_extent
@@ -99,6 +99,22 @@ class _Shares:
     change: float
     sunk: float
     shallow: float = 0.0
+
+    @staticmethod
+    def under(probe: Probe, radius_mm: float, *, rounded: bool, stiffens: bool) -> _Shares:
+        """Return those under a probe whose contact has this radius, by whether its rim is solved
+        rounder and its rubber stiffens."""
+        if isinstance(probe, Sphere):
+            return _ROUND
+        if isinstance(probe, Cone):
+            own = _SHARP if probe.tip_mm < _SHARP_TIP * radius_mm else _BLUNT
+        else:
+            own = _ROUNDED if rounded else _FLAT
+        if not stiffens:
+            return own
+        more = _STIFF if isinstance(probe, Cone) else 1.0
+        near, growth, sunk = own.near * more, own.growth * more, own.sunk * _STIFF_SUNK
+        return replace(own, near=near, growth=growth, sunk=sunk)
 
 
 _ROUND = _Shares(0.025, 0.08, 0.4, 0.04)
@@ -193,22 +209,13 @@ class BodyStrain(FiniteStrain):
             centre, size = self._contacts[0][1][-1]
             inward = body.piece_normals(centre[None])[0, 0]
             watched = centre + size * np.linspace(0.3, 1.0, 8)[:, None] * inward
-        self._shares = _ROUND
-        for one, made in zip(sharp, approaches, strict=True):
-            probe = one.probe
-            if isinstance(probe, Cone):
-                sharp_tip = probe.tip_mm < _SHARP_TIP * state.contact_radius_mm
-                own = _SHARP if sharp_tip else _BLUNT
-            elif isinstance(probe, Sphere):
-                own = _ROUND
-            else:
-                own = _FLAT if one is made else _ROUNDED
-            if strain_law(material).stiffens and not isinstance(probe, Sphere):
-                more = _STIFF if isinstance(probe, Cone) else 1.0
-                near, growth, sunk = own.near * more, own.growth * more, own.sunk * _STIFF_SUNK
-                own = replace(own, near=near, growth=growth, sunk=sunk)
-            most = zip(astuple(self._shares), astuple(own), strict=True)
-            self._shares = _Shares(*(max(pair) for pair in most))
+        # Each share is the largest of all probes'.
+        stiffens, radius_mm = strain_law(material).stiffens, state.contact_radius_mm
+        shares = [
+            _Shares.under(one.probe, radius_mm, rounded=one is not made, stiffens=stiffens)
+            for one, made in zip(sharp, approaches, strict=True)
+        ]
+        self._shares = _Shares(*map(max, zip(*map(astuple, [_ROUND, *shares]), strict=True)))
         self._first = _COARSE if coarse else _FINE
         least = _TOLERANCE, Share(indentation=self._shares.sunk)
         super().__init__(axes, state, watched, self._shares.change, least)

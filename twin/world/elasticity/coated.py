@@ -366,8 +366,7 @@ class Ladder:
         size = float(np.linalg.norm(np.ptp(load.centre_mm, axis=0), axis=0)) / 2.0
         size += float(load.half_mm.max(initial=0.0))
         width = np.full(len(load), np.inf)
-        free = [piece for piece in range(1, len(body.pieces)) if piece not in body.held_pieces]
-        if free and (body.is_flat or not body.has_smooth_border):
+        if free := body.edge_pieces:
             away = body.piece_distances(load.within(body))[:, free].min(axis=1)
             width = BESIDE * np.maximum(away, load.half_mm.max(axis=1))
         if not body.is_flat and body.own_surface is None:  # triangles are no finer than they are

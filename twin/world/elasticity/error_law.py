@@ -192,10 +192,10 @@ def _missed_at_edges(body: Body, points: Points, load: Rectangles, edge_mm: Floa
     wide load that ends at a face the pieces next to it count, down to about an element's length.
     """
     missed = np.zeros((len(points), 3))
-    if body.has_smooth_border and not body.is_flat:  # beyond the border the surface goes on
+    free = body.edge_pieces
+    if not free:
         return missed
     resolved = RESOLVED[body.is_flat]
-    free = [piece for piece in range(1, len(body.pieces)) if piece not in body.held_pieces]
     centre = load.within(body)
     to_faces = body.piece_distances(centre)[:, free]
     away = np.maximum(to_faces, load.half_mm.max(axis=1)[:, None])

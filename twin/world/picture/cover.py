@@ -242,8 +242,7 @@ class Background:
     def _moved_at(self, places: Points, motion: CoverMotion) -> tuple[Floats, Floats]:
         """Return how far the cover has moved inwards at (n, 3) places of it, mm, and its (n, 3)
         unit normals then, between the grid's rays."""
-        ahead = np.einsum("ni,ni->n", motion.displacement_mm[: len(self.points)], self.normals)
-        known = np.column_stack([ahead, motion.turned(self.normals)])
+        known = np.column_stack([self._ahead(motion), motion.turned(self.normals)])
         grid = known[self._nearest].reshape(len(self._rows), len(self._columns), 4)
         column, row = project(places, *self._scene.optics).T
         at = [
@@ -255,13 +254,21 @@ class Background:
         )
         return found[0], (found[1:] / np.linalg.norm(found[1:], axis=0)).T
 
+    def _ahead(self, motion: CoverMotion) -> Floats:
+        """Return (m,) how far `points` have moved inwards, mm."""
+        displacement_mm = motion.displacement_mm[: len(self.points)]
+        return np.asarray(np.einsum("ni,ni->n", displacement_mm, self.normals))
+
     @cached_property
     def _nearest(self) -> Ints:
         """(r * c,) number of the place met that is nearest to each of the grid's rays."""
         met = self._met.reshape(len(self._rows), len(self._columns))
-        number = np.where(met, np.cumsum(met).reshape(met.shape) - 1, -1)
         _, nearest = distance_transform_edt(~met, return_indices=True)
-        return np.asarray(number[tuple(nearest)].ravel())
+        return np.asarray(_numbered(met)[tuple(nearest)].ravel())
+
+    @cached_property
+    def _lit_at_rest(self) -> tuple[Floats, Floats]:
+        return _lit_by(self.points, self.normals, self._scene, self._top)
 
     def change(self, motion: CoverMotion | None, hidden: Sequence[Singles] = ()) -> Singles:
         """Return (height, width, k) factors on the light of the cover at rest, k of `Light.tints`.
@@ -278,22 +285,18 @@ class Background:
         A ray meets the moved surface where it has come (u . n) / (d . n) farther along its
         direction d.
         """
-        before = _brightness(self.points, self.normals, self._scene, self._top)
-        moved, normals = self.points, self.normals
+        each, even = self._lit_at_rest
+        before = np.maximum(each.sum(axis=0) + even, 1e-12)
         if motion is not None:
-            displacement_mm = motion.displacement_mm[: len(self.points)]
-            ahead = np.einsum("ni,ni->n", displacement_mm, normals)
-            ahead = ahead / np.einsum("ni,ni->n", self._along, normals)
-            moved, normals = moved + self._along * ahead[:, None], motion.turned(normals)
-        after = _brightness(moved, normals, self._scene, self._top)
-        factor = np.ones((len(self._met), after.shape[1]))
-        factor[self._met] = after / np.maximum(before, 1e-12)
+            ahead = self._ahead(motion) / np.einsum("ni,ni->n", self._along, self.normals)
+            moved = self.points + self._along * ahead[:, None]
+            each, even = _lit_by(moved, motion.turned(self.normals), self._scene, self._top)
+        factor = np.ones((len(self._met), before.shape[1]))
+        factor[self._met] = (each.sum(axis=0) + even) / before
         bright = self._between_rays(factor)
         if hidden and len(self.points):
-            each, _ = _lit_by(moved, normals, self._scene, self._top)
             for light, share in zip(each, hidden, strict=True):
-                lost = (light / np.maximum(before, 1e-12))[self._nearest]
-                bright -= self._between_rays(lost) * share[:, :, None]
+                bright -= self._between_rays((light / before)[self._nearest]) * share[:, :, None]
         return bright
 
     def _between_rays(self, values: Floats) -> Singles:
@@ -426,12 +429,17 @@ def _around(nodes: Floats, met: Bools, across: int) -> Floats:
 def _between(met: Bools) -> Ints:
     """Return (k, 3) triangles between neighbours of a grid of rays, of which some meet a surface:
     numbers among those, row by row."""
-    number = np.where(met, np.cumsum(met).reshape(met.shape) - 1, -1)
+    number = _numbered(met)
     here, right = number[:-1, :-1].ravel(), number[:-1, 1:].ravel()
     below, both = number[1:, :-1].ravel(), number[1:, 1:].ravel()
     halves = [np.column_stack([here, below, right]), np.column_stack([right, below, both])]
     triangles = np.concatenate(halves)
     return triangles[(triangles >= 0).all(axis=1)]
+
+
+def _numbered(met: Bools) -> Ints:
+    """Return (r, c) numbers of the rays of a grid that are ``met``, row by row; -1 for others."""
+    return np.where(met, np.cumsum(met).reshape(met.shape) - 1, -1)
 
 
 @dataclass(frozen=True)
