@@ -10,19 +10,26 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
-from twin.arrays import Floats, Ints
+from twin.arrays import Bools, Floats, Ints
 from twin.errors import ContactError, NotSettled, SolveError
 from twin.parts.material import Material, shear_modulus
 from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
 
+_MIXED, _MIXED_TO = 5, 0.2
+"""How many changes are mixed, and how much shorter the last mixed step is than Newton's, after
+which less is left."""
+
 
 class _Solved(Protocol):
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
     @property
     def unknowns(self) -> Floats: ...
 
@@ -56,6 +63,8 @@ class MixedRubber:
         self._law_name = material.law
         self._law = strain_law(material)
         self._shear = shear_modulus(1.0, nu)
+        self.touched = np.zeros(0, int)
+        """(m,) Unknowns to which stiffnesses are condensed, of `Factor.schur`."""
         apart = 1.0 - 2.0 * nu
         self._softness = apart / (self._shear * (2.0 * nu - self._law.bulk * apart))
 
@@ -84,11 +93,20 @@ class MixedRubber:
         blocks = self._blocks(unknowns, np.arange(len(self._row)))
         return MixedRubber.summed(blocks, self._row, self.size)
 
-    def stiffness(self, tangent: Any, last: Ints | None = None) -> Factor:
-        """Return the factor of the free unknowns' tangent, with the `Factor.schur` of some."""
+    def are_free(self, unknowns: Ints) -> Bools:
+        """Return which of some unknowns are not held."""
+        return np.isin(unknowns, self._free)
+
+    def stiffness(self, tangent: Any) -> Factor:
+        """Return the factor of the free unknowns' tangent, condensed to `touched`."""
         free = self._free
-        last = None if last is None else np.searchsorted(free, last)
+        last = np.searchsorted(free, self.touched) if len(self.touched) else None
         return Factor(tangent[free][:, free], self._scale[free], node=self._node[free], last=last)
+
+    @cached_property
+    def rest_stiffness(self) -> Factor:
+        """That of linear theory."""
+        return self.stiffness(self.at_rest)
 
     def moved_by(self, stiffness: Factor, forces: Floats, residual: float) -> Floats:
         """Return the changes of the unknowns under forces, (n,) or (n, m)."""
@@ -201,6 +219,22 @@ class MixedRubber:
             return place
 
         return start
+
+    def mixed(
+        self, after: Callable[[State, Factor], State], state: State, steps: int, tolerance: float
+    ) -> State:
+        """Return the state at finite strain after steps of `newton` by the stiffness at rest, of
+        which ``after`` takes one. The last ones are mixed: to factor a tangent takes as long as
+        five to ten such steps. They end at ``_MIXED_TO`` of the tolerance."""
+        mix = MixedRubber.mixing(self._moves, _MIXED)
+
+        def begin(state: State) -> State:
+            return replace(state, unknowns=mix(state.unknowns))
+
+        def at_rest(state: State) -> State:
+            return after(state, self.rest_stiffness)
+
+        return self.newton(at_rest, state, steps, _MIXED_TO * tolerance, begin)
 
     @np.errstate(over="ignore", invalid="ignore")
     def newton(

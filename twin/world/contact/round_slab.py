@@ -14,8 +14,11 @@ in the other one at the deformed place, with forces along the probe's normal. Th
 film of rubber on the probe, a 3000th of the contact's radius thick, in both. The probe's place is
 an unknown.
 
-**Steps.** Newton's, with an active set of points, begin at the indentation and the contact of
-`pressing`, and for the other solution at the linear one.
+**Steps.** Newton's begin at the indentation and the contact of `pressing`, and for the other
+solution at the linear one. In each the rubber is condensed to the nodes that may touch, and contact
+is balanced there by an active set of points. The tangent at rest, whose factor both solutions
+share, will mostly do, where the last steps are mixed; else every step takes the present one, and
+one change of the active set.
 
 **Mesh.** Pressure falls to 0 as a square root where the contact ends, so elements are small there:
 their error then depends little on where in one it ends. Under a cylinder that is the rim; a sharp
@@ -43,6 +46,7 @@ from twin.parts.press import Cone, Cylinder, Press, Sphere
 from twin.world.contact.contact_state import ContactState, Share
 from twin.world.contact.mixed_rubber import MixedRubber
 from twin.world.contact.probe_gap import MOTIONS, Approach, Shape, Z
+from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import LEAST_POISSON
 
 _SPRING = 3000.0
@@ -96,6 +100,9 @@ _NEARLY = 1e-4
 _STEPS = 20
 """Newton's steps end at one that moves nothing by more than this share of the largest displacement,
 on the mesh that estimates the error by more than the other; their most."""
+
+_BALANCES, _BALANCED = 60, 1e-9
+"""Most iterations of a balance of contact, and the relative step at which they end."""
 
 LOAD_STEPS = 0.2, 0.04
 """First step of the force where Newton's steps fail from the linear solution, and the least to
@@ -341,7 +348,7 @@ class SlabStrain(FiniteStrain):
             (low, high), count, reach, share, self._radii_mm[other], self._thick_mm
         )
         slab = Slab(grid, self._material)
-        touch = _Touch(grid, approach.shape, size)
+        touch = _Touch(slab, approach.shape, size)
         force = float(state.force_n[Z]) / self._material.youngs_modulus_mpa
         if other and fineness > 1.0:  # from the solutions on the mesh that counts
             start = self._pair.on(slab, touch, self._pair.linear)
@@ -408,9 +415,28 @@ class SlabStrain(FiniteStrain):
         to: float = _TOLERANCE,
     ) -> _Balance:
         """Take Newton's steps until one moves nothing."""
-        state = slab.newton(
-            lambda one: _stepped(slab, touch, one, force, linear=linear), state, _STEPS, to
-        )
+
+        def after(state: _Balance, stiffness: Factor) -> _Balance:
+            internal = slab.internal(state.unknowns, linear=linear)
+            loose = state.unknowns + slab.moved_by(stiffness, -internal, _RESIDUAL)
+            push = np.zeros(slab.size)
+            # With the present tangent one step of contact converges as fast as the rubber does.
+            most = _BALANCES if stiffness is slab.rest_stiffness else 1
+            now, push[touch.nodal] = touch.balanced(
+                state, loose[touch.nodal], stiffness, force, most, linear=linear
+            )
+            return replace(now, unknowns=loose + slab.moved_by(stiffness, push, _RESIDUAL))
+
+        def renewed(state: _Balance) -> _Balance:
+            return after(state, slab.stiffness(slab.tangent(state.unknowns)))
+
+        if linear:
+            state = after(state, slab.rest_stiffness)
+        else:
+            try:
+                state = slab.mixed(after, state, _STEPS, to)
+            except NotSettled:
+                state = slab.newton(renewed, state, _STEPS, to)
         last = touch.rest_mm[-_POINTS:][state.pressure[-_POINTS:] > 0.0]
         MixedRubber.check_reach(last * math.inf, _REACH)
         return state
@@ -618,8 +644,8 @@ class _Touch:
     """The integration points (q,) of the slab's surface that a probe may touch, and the springs
     between them, for a contact of a size."""
 
-    def __init__(self, grid: Slab.Grid, shape: Shape, size_mm: float) -> None:
-        self.grid = grid
+    def __init__(self, slab: Slab, shape: Shape, size_mm: float) -> None:
+        self.grid = grid = slab.grid
         self.spring = _SPRING / size_mm
         self.gap_weight = _GAP_WEIGHT / size_mm
         r = grid.r_mm[: grid.touching + 1]
@@ -628,17 +654,21 @@ class _Touch:
         self.area_mm2 = 2.0 * math.pi * self.rest_mm * (half[:, None] * _WEIGHTS).ravel()
         points = np.column_stack([self.rest_mm, np.zeros(len(self.rest_mm))])
         nodes, values, _ = grid.read(points)
-        self.nodes = nodes.reshape(-1, 3, 3)[:, :, 0]
-        self.weights = values.reshape(-1, 3, 3)[:, :, 0]
+        nodes, values = nodes.reshape(-1, 3, 3)[:, :, 0], values.reshape(-1, 3, 3)[:, :, 0]
+        self.number, local = np.unique(nodes, return_inverse=True)
+        self.weights = np.zeros((len(nodes), len(self.number)))
+        np.put_along_axis(self.weights, local.reshape(nodes.shape), values, axis=1)
+        self.nodal = (2 * self.number[:, None] + np.arange(2)).ravel()
+        self._free = slab.are_free(self.nodal)
+        slab.touched = self.nodal[self._free]
         self._border_mm = r
         self._shape = shape
 
-    def gaps(
-        self, displacement: Floats, place: float, *, linear: bool
-    ) -> tuple[Floats, Floats, Floats]:
+    def gaps(self, moved: Floats, place: float, *, linear: bool) -> tuple[Floats, Floats, Floats]:
         """Return gaps along z (q,), their slopes by the points' places (q, 2), and how these change
-        with r (q,): the linear ones at the undeformed places."""
-        shift = np.einsum("qa,qai->qi", self.weights, displacement[self.nodes])
+        with r (q,), where the nodes that may touch (m, 2) moved to: the linear ones at the
+        undeformed places."""
+        shift = self.weights @ moved
         r = self.rest_mm if linear else self.rest_mm + shift[:, 0]
         upright = np.broadcast_to([0.0, 0.0, 1.0], (len(r), 3))
 
@@ -653,6 +683,63 @@ class _Touch:
         curvature = (met(r + _NUDGE_MM)[1] - met(r - _NUDGE_MM)[1]) / (2.0 * _NUDGE_MM)
         curvature = np.where(np.isfinite(gap), curvature, 0.0)
         return gap, np.column_stack([slope, np.ones(len(r))]), curvature
+
+    def balanced(
+        self,
+        state: _Balance,
+        loose: Floats,
+        stiffness: Factor,
+        force: float,
+        most: int,
+        *,
+        linear: bool,
+    ) -> tuple[_Balance, Floats]:
+        """Return the state in which contact balances the slab condensed to the nodes that may
+        touch, and the forces on these (m,); ``loose`` is where they are without contact."""
+        free = self._free
+        moved = state.unknowns[self.nodal]
+        spring = self.spring
+        for _ in range(most):
+            gap, push, curvature = self.gaps(moved.reshape(-1, 2), state.place, linear=linear)
+            weighed = state.pressure - self.gap_weight * (gap + state.pressure / spring)
+            active = weighed > 0.0 if state.pressure.any() else state.active
+            active = active & np.isfinite(gap)
+            if not active.any():
+                raise NotSettled(
+                    "contact: at finite strain the probe touches nothing: press further"
+                )
+            on = np.flatnonzero(active)
+            weight, area = self.weights[on], self.area_mm2[on]
+            closing = (weight[:, :, None] * push[on, None, :]).reshape(len(on), -1)
+            matrix = closing.T @ ((spring * area)[:, None] * closing)
+            bent = area * state.pressure[on] * curvature[on]
+            matrix[::2, ::2] -= weight.T @ (bent[:, None] * weight)
+            # The nodes' way and the probe's, which the force holds
+            follow = (spring * area) @ closing
+            amiss = -closing.T @ (spring * area * gap[on])
+            amiss[free] -= stiffness.schur @ (moved - loose)[free]
+            border = follow[free]
+            whole = np.block(
+                [
+                    [stiffness.schur + matrix[np.ix_(free, free)], -border[:, None]],
+                    [-border, np.array([[spring * area.sum()]])],
+                ]
+            )
+            found = np.linalg.solve(whole, np.append(amiss[free], force + spring * area @ gap[on]))
+            step, motion = np.zeros(len(moved)), float(found[-1])
+            step[free] = found[:-1]
+            moved = moved + step
+            pressure = np.zeros(len(active))
+            pressure[on] = -spring * (gap[on] + closing @ step - motion)
+            settled = np.array_equal(active, state.active)
+            state = replace(state, place=state.place + motion, pressure=pressure, active=active)
+            largest = max(np.abs(moved).max(), abs(state.place))
+            settled &= max(np.abs(step).max(), abs(motion)) < _BALANCED * largest
+            if settled or most == 1:
+                bearing = np.zeros(len(moved))
+                bearing[free] = stiffness.schur @ (moved - loose)[free]
+                return state, bearing
+        raise NotSettled("contact: at finite strain the probe does not come to balance")
 
     def end_mm(self, pressure: Floats, displacement: Floats | None = None) -> float:
         """Return how far from the axis the contact ends, mm: at rest, or after a displacement.
@@ -670,7 +757,7 @@ class _Touch:
         end = math.sqrt(ends[np.argmin(np.abs(ends - squared[-1]))].real)
         if displacement is None:
             return end
-        aside = np.einsum("qa,qa->q", self.weights, displacement[self.nodes, 0])
+        aside = self.weights @ displacement[self.number, 0]
         return end + float(np.interp(end, self.rest_mm, aside))
 
 
@@ -698,49 +785,6 @@ class _Pair(FiniteStrain.Solutions):
         pressure = np.interp(touch.rest_mm, self.touch.rest_mm, state.pressure, right=0.0)
         unknowns = slab.carried(self.touch.grid, state.unknowns)
         return replace(state, unknowns=unknowns, pressure=pressure, active=pressure > 0.0)
-
-
-def _stepped(slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear: bool) -> _Balance:
-    """Return the state after one Newton step of slab, probe and pressures together."""
-    gap, push, curvature = touch.gaps(slab.displacement(state.unknowns), state.place, linear=linear)
-    weighed = state.pressure - touch.gap_weight * (gap + state.pressure / touch.spring)
-    active = weighed > 0.0 if state.pressure.any() else state.active
-    active = active & np.isfinite(gap)
-    if not active.any():
-        raise NotSettled("contact: at finite strain the probe touches nothing: press further")
-    on = np.flatnonzero(active)
-    tangent = slab.at_rest if linear else slab.tangent(state.unknowns)
-    right = -slab.internal(state.unknowns, linear=linear)
-    weight = touch.weights[on]
-    area = touch.area_mm2[on]
-    push = push[on]
-    row = (2 * touch.nodes[on][:, :, None] + np.arange(2)).reshape(len(on), 6)
-
-    def nodal(forces: Floats) -> Floats:
-        spread = np.einsum("qa,qi->qai", weight, forces)
-        return MixedRubber.gathered(row, spread, slab.size)
-
-    block = touch.spring * push[:, :, None] * push[:, None, :]
-    block[:, 0, 0] -= state.pressure[on] * curvature[on]
-    block *= area[:, None, None]
-    block = np.einsum("qa,qb,qij->qaibj", weight, weight, block).reshape(len(on), 6, 6)
-    own = right + nodal(-(touch.spring * gap[on] * area)[:, None] * push)
-    follow = nodal(-(touch.spring * area)[:, None] * push)
-    springs = MixedRubber.summed(block, row, slab.size)
-    stiffness = slab.stiffness(tangent + springs)
-    both = slab.moved_by(stiffness, np.column_stack([own, follow]), _RESIDUAL)
-
-    def closed(step: Floats) -> Floats:
-        moved = slab.displacement(step)[touch.nodes[on]]
-        return np.asarray(np.einsum("qi,qa,qai->q", push, weight, moved))
-
-    still = -touch.spring * (gap[on] + closed(both[:, 0]))
-    per_motion = touch.spring * (1.0 + closed(both[:, 1]))
-    motion = float((force - area @ still) / (area @ per_motion))
-    pressure = np.zeros(len(active))
-    pressure[on] = still + motion * per_motion
-    unknowns = state.unknowns + both[:, 0] - motion * both[:, 1]
-    return _Balance(unknowns, state.place + motion, pressure, active)
 
 
 def _growing(first: float, growth: float, end: float, most: float = math.inf) -> Floats:

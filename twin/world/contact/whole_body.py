@@ -32,7 +32,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
 
@@ -85,9 +85,8 @@ _STEEPEST = 0.05
 _SLOW = 0.3
 """Newton's steps that shrink by less than to this share need the tangent at the present state."""
 
-_MIXED, _MIXED_STEPS, _MIXED_TO = 5, 10, 0.2
-"""How many changes are mixed, in how many steps at most, and how much shorter the last one is than
-Newton's, after which less is left."""
+_MIXED_STEPS = 10
+"""Most of Newton's steps by the stiffness at rest."""
 
 _FEW_BALANCES, _MOST_BALANCES, _BALANCED, _FULL_STEPS = 30, 100, 1e-6, 15
 """Most iterations of a balance of contact at finite strain by the tangent at rest, and of others,
@@ -136,10 +135,6 @@ class Rubber(MixedRubber):
         self._scale = MixedRubber.gathered(self._row[:, 30:], tenth, self.size)
         nodes = np.arange(len(mesh.points))
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
-
-    def are_free(self, unknowns: Ints) -> Bools:
-        """Return which of some unknowns are not held."""
-        return np.isin(unknowns, self._free)
 
     def _gradient(self, moved: Floats, some: Ints) -> Floats:
         own = moved[:, None].reshape(-1, 1, 10, 3)
@@ -475,8 +470,9 @@ class RubberContact:
         )
         self._nodal = (3 * nodes[:, None] + np.arange(3)).ravel()
         self._free = rubber.are_free(self._nodal)
-        self._row = (3 * local.reshape(-1, 6)[:, :, None] + np.arange(3)).reshape(-1, 18)
+        rubber.touched = self._nodal[self._free]
         self._lately: Factor | None = None  # of an earlier state at finite strain, while it will do
+        self._row = (3 * local.reshape(-1, 6)[:, :, None] + np.arange(3)).reshape(-1, 18)
 
     def at_rest(self) -> RubberContact.State:
         """Return the state in which nothing touches."""
@@ -504,20 +500,16 @@ class RubberContact:
         rubber = self.rubber
         held = by_force, given
 
-        def at_rest(state: RubberContact.State) -> RubberContact.State:
-            """Take a step by the stiffness at rest."""
-            return self._stepped(state, self._rest_stiffness, *held, linear=linear)
+        def after(state: RubberContact.State, stiffness: Factor) -> RubberContact.State:
+            return self._stepped(state, stiffness, *held, linear=linear)
 
         if linear:  # but for contact, whose balance each step ends in, it is linear: one will do
-            return rubber.newton(at_rest, state, 1, math.inf)
+            return rubber.newton(
+                partial(after, stiffness=rubber.rest_stiffness), state, 1, math.inf
+            )
         if not self._rubs:
-            mix = rubber.mixing(3 * len(rubber.mesh.points), _MIXED)
-
-            def mixed(state: RubberContact.State) -> RubberContact.State:
-                return replace(state, unknowns=mix(state.unknowns))
-
             with suppress(NotSettled):
-                return rubber.newton(at_rest, state, _MIXED_STEPS, _MIXED_TO * to, mixed)
+                return rubber.mixed(after, state, _MIXED_STEPS, to)
         last_mm = math.inf
 
         def renewed(state: RubberContact.State) -> RubberContact.State:
@@ -525,23 +517,19 @@ class RubberContact:
             slow."""
             nonlocal last_mm
             if self._lately is None:
-                self._lately = self._stiffness(rubber.tangent(state.unknowns))
-            end = self._stepped(state, self._lately, *held, linear=False)
+                self._lately = rubber.stiffness(rubber.tangent(state.unknowns))
+            end = after(state, self._lately)
             moved_mm = rubber.largest(rubber.displacement(end.unknowns - state.unknowns))
             if moved_mm > _SLOW * last_mm:
                 self._lately = None
             last_mm = moved_mm
             return end
 
-        return rubber.newton(renewed, state, MOST_STEPS, to)
-
-    @cached_property
-    def _rest_stiffness(self) -> Factor:
-        return self._stiffness(self.rubber.at_rest)
-
-    def _stiffness(self, tangent: Any) -> Factor:
-        """Return the rubber's stiffness, condensed to the nodes that may touch."""
-        return self.rubber.stiffness(tangent, self._nodal[self._free])
+        try:
+            return rubber.newton(renewed, state, MOST_STEPS, to)
+        except NotSettled:
+            self._lately = None  # steps from elsewhere don't begin with where these led
+            raise
 
     def rubbed(
         self,
@@ -676,7 +664,7 @@ class RubberContact:
         force[free] = stiffness.schur @ (moved - loose)[free]
         trust, last, settled = 0.0, math.inf, False
         # Where the tangent at rest takes more, the present one is likely to take fewer.
-        few = stiffness is self._rest_stiffness and not linear
+        few = stiffness is self.rubber.rest_stiffness and not linear
         for taken in range(_FEW_BALANCES if few else _MOST_BALANCES):
             if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
                 on = state.anchors.on & (state.pressure > 0.0)
