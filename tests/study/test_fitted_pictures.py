@@ -48,17 +48,19 @@ def test_a_folder_of_photographed_presses_is_fitted(tmp_path):
     places = Rectangles.on_surface(scene.body, np.array([(4.0, 3.0), (-5.0, -2.0)]), 0.5, "places")
     Image.fromarray(sensor.picture(None, exposure=50)).save(tmp_path / "rest.png")
     rows = [["frame", "x_mm", "y_mm", "z_mm", "fx_n", "fy_n", "fz_n"]]
-    random = np.random.default_rng(0)
+    random, origin_mm = np.random.default_rng(0), np.array([0.35, -0.2])
     for place, centre in enumerate(places.centre_mm):
         for number, state in enumerate(sensor.press(calibrate.calibration_press(scene, places, place)).path):
             name = f"press-{place}-{number}.png"
             Image.fromarray(sensor.picture(sensor.motion(state.load), 51 + 3 * place + number)).save(tmp_path / name)
             force = state.force_n + random.normal(0, scene.calibration.load_cell_n, 3)
-            rows.append([name, *centre[:2], "", *force])
+            rows.append([name, *(centre[:2] - origin_mm), "", *force])
     with open(tmp_path / "presses.csv", "w", newline="") as file:
         csv.writer(file).writerows(rows)
     told = calibrate.calibrate_to_file(scene, tmp_path / "c.npz", folder=tmp_path)
     assert "6 presses" in told
+    found = re.search(r"origin of presses.csv lies at x (\S+), y (\S+) mm", told)
+    assert [float(number) for number in found.groups()] == pytest.approx(origin_mm, abs=0.05), told
     modulus = float(re.search(r"Young's modulus (\S+) ", told)[1])
     assert modulus == pytest.approx(sensor.actual.scene.material.youngs_modulus_mpa, rel=0.01), told
     assert transfer_error(sensor, read_calibration(tmp_path / "c.npz")) < 0.02
@@ -90,9 +92,9 @@ def test_a_thin_pad_of_another_thickness_is_fitted_to_presses_as_wide_as_the_bal
 SCENE = load_scene("sato_press", overrides={"tolerance.distortion": 0.01})
 
 
-def design(places=((0.0, 0.0),)):
+def design(places=((0.0, 0.0),), **options):
     squares = Rectangles.on_surface(SCENE.body, np.array(places), 0.5, "places")
-    return FittedDesign(SCENE, squares, np.full(len(places), 0.9))
+    return FittedDesign(SCENE, squares, np.full(len(places), 0.9), **options)
 
 
 def rest_px(actual):
@@ -131,6 +133,17 @@ def test_nothing_is_fitted_that_the_tolerances_give_no_room():
     tight = SCENE.model_copy(update={"tolerance": SCENE.tolerance.model_copy(update={"tilt_deg": 0.0})})
     twin = FittedDesign(tight, Rectangles.on_surface(SCENE.body, np.zeros((1, 2)), 0.5, "places"), np.ones(1))
     assert not any(name.startswith("tilt") for name in twin.names)
+
+
+def test_places_move_with_their_origin():
+    def shift(twin, moved):
+        scaled = np.array([moved.get(name, 0.0) for name in twin.names])
+        return twin.predict(scaled, rest_px(Sensor(SCENE).actual), np.zeros(1, int), np.array([[0.2, 0.0, 1.0]]))[1]
+
+    here, wanted = shift(design(), {}), shift(design([(0.4, -0.2)]), {})
+    moved = shift(design(stage_mm=0.5), {"stage_x": 0.8, "stage_y": -0.4})
+    assert np.linalg.norm(here - wanted) > 0.1 * np.linalg.norm(wanted)
+    assert np.linalg.norm(moved - wanted) < 0.05 * np.linalg.norm(here - wanted)
 
 
 @pytest.mark.slow

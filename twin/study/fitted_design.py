@@ -78,6 +78,9 @@ class FittedDesign:
     covered
         The compliance (3n, 3k), mm/N, of points (n, 3) under forces on k patches, of the nominal
         body with its cover, where that is of another material.
+    stage_mm
+        Standard deviation along each axis of the surface, mm, of where the origin of all presses'
+        places lies; 0 where it is the scene's.
     """
 
     CHECK = (
@@ -94,6 +97,7 @@ class FittedDesign:
         radius_mm: Floats,
         covered: Callable[[Points, Rectangles], Floats] | None = None,
         progress: Any = None,
+        stage_mm: float = 0.0,
     ) -> None:
         self.covered = covered
         self.scene, self.places, self.radius_mm = scene, places, np.asarray(radius_mm, float)
@@ -108,6 +112,8 @@ class FittedDesign:
             "focal": room.focal_pct / 100,
             "distortion": room.distortion,
             "footprint": FOOTPRINT_PCT / 100,
+            "stage_x": stage_mm,
+            "stage_y": stage_mm,
         }
         self._parameters = tuple(sizes)
         self.sizes = {name: size for name, size in sizes.items() if size > 0}
@@ -317,24 +323,27 @@ class FittedDesign:
         rest = rest.reshape(len(rest), len(self.places), -1, 3)
         out = []
         squares, shares = self.shares()
+        stage = np.array([found["stage_x"], found["stage_y"]])
         for index, nominal in enumerate(self.radius_mm):
             radius = nominal * (1 + found["footprint"])
             normal = self.places.frames[index, 2]
+            # How the rest of the body changes along each axis: by opposite squares of the five.
+            opposite = rest[:, index, 1::2] - rest[:, index, 2::2]
+            along_rest = opposite.transpose(1, 0, 2) / (2 * REACH * nominal)
             # Under both spreads of the force: the half-space part, and the rest of the body.
             near = []
-            for aside in np.array([(0.0, 0.0), (STEP_MM, 0.0), (0.0, STEP_MM)]) / radius:
-                fine = self._squares(index, radius, squares + aside)
+            for aside in np.array([(0.0, 0.0), (STEP_MM, 0.0), (0.0, STEP_MM)]) + stage:
+                fine = self._squares(index, radius, squares + aside / radius)
                 each = halfspace.compliance(markers, fine, modulus, nu_now)
                 near.append(each.reshape(3 * len(markers), -1, 3))
             hertz, stuck = np.einsum("mri,kr->kmi", near[0], shares) + np.einsum(
                 "mri,kr->kmi", rest[:, index], weights
             )
+            hertz, stuck = np.stack([hertz, stuck]) + np.tensordot(stage, along_rest, axes=1)
             wider = 0.5 * (stuck - hertz) @ (np.eye(3) - np.outer(normal, normal))
-            # Where it acts: along each axis by a step, and by opposite squares of the five.
             along = [
                 np.einsum("mri,r->mi", near[1 + axis] - near[0], shares[0]) / STEP_MM
-                + (rest[:, index, 1 + 2 * axis] - rest[:, index, 2 + 2 * axis])
-                / (2 * REACH * nominal)
+                + along_rest[axis]
                 for axis in range(2)
             ]
             parts = np.stack([hertz + wider, wider, *along])
