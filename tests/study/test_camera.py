@@ -9,6 +9,7 @@ from PIL import Image
 
 import twin
 from twin.errors import InputError, RecipeError
+from twin.files import png_bytes
 from twin.parts.camera import PRESETS, Camera, Ccd
 from twin.study.check import check_camera, check_path
 from twin.study.intrinsics import read_intrinsics, write_intrinsics
@@ -133,6 +134,16 @@ def test_a_good_camera_and_what_spoils_it(pictures, tmp_path):
     answer = said(scene, [pair[0], touched], tmp_path)["good enough"]["found"]
     assert "markers moved against the others" in answer
     assert "mount the camera" not in answer
+
+
+def test_counts_of_16_bits_are_those_of_8_bits(pictures, tmp_path):
+    """All of a picture passed for saturated, and its noise was 257 times as large."""
+    scene, pair = pictures
+    places = [tmp_path / f"deep{i}.png" for i in (1, 2)]
+    for place, picture in zip(places, pair, strict=True):
+        place.write_bytes(png_bytes(picture.astype(np.uint16) * 257))
+    deep = {record["name"]: record for _, record in check_camera(*places, scene)}
+    assert deep["noise"] == pytest.approx(said(scene, pair, tmp_path)["noise"])
 
 
 def test_pictures_that_say_nothing_are_refused(tmp_path):

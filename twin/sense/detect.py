@@ -454,7 +454,12 @@ def _peaks(smooth, broad, radius, contrast, found):
             here = smooth[row, column]
             if here - broad[row, column] < contrast:
                 continue
-            if here < smooth[row, max(column - 1, 0)] or here < smooth[max(row - 1, 0), column]:
+            before = max(smooth[row, max(column - 1, 0)], smooth[max(row - 1, 0), column])
+            if here < before:
+                continue
+            if column + 1 < width and smooth[row, column + 1] >= here:
+                continue
+            if row + 1 < height and smooth[row + 1, column] >= here:
                 continue
             highest = True
             for other in range(max(row - radius, 0), min(row + radius, height - 1) + 1):

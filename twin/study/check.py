@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats, Picture, coordinates
+from twin.arrays import Floats, coordinates
 from twin.errors import InputError, MissingCapability, RecipeError
 from twin.files import MESHES, SCENES, Fact, cache_folder, fact, read_arrays
 from twin.parts.body import CREASE_DEG, Body
@@ -300,6 +300,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
         No camera in the scene; pictures of another size, the same one twice, without markers.
     """
     from twin.sense.centre import COHERENT
+    from twin.sense.colour import as_picture
     from twin.sense.disc_fit import DiscFit
     from twin.sense.track import analyse_rest, track_frame
     from twin.study.frames import read_picture
@@ -329,8 +330,9 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
     fits = [group for group in rest.groups if isinstance(group, DiscFit)]
     blur = max((float(np.nanmedian(fit.templates.blur_px)) for fit in fits), default=0.0)
     width = min(group.look.diameter_px for group in rest.groups)
-    full = max(_saturated(one), _saturated(two))
-    noise = float(np.std(one.astype(float) - two) / np.sqrt(2.0))  # of one picture, counts
+    counts = [as_picture(each, "the picture").astype(float) for each in (one, two)]
+    full = max(float((each >= SATURATED_DN).any(axis=2).mean()) for each in counts)
+    noise = float(np.std(counts[0] - counts[1]) / np.sqrt(2.0))  # of one picture
     # Compare each with its limit.
     problems = []
     if seen.mean() < FEW:
@@ -409,9 +411,3 @@ def _force_noise(scene: Scene, found: Found) -> list[Fact]:
     sds = dict(zip(("fx_n", "fy_n", "fz_n"), field.sd_total_n.tolist(), strict=True))
     text = "Fx {fx_n:.2g}, Fy {fy_n:.2g}, Fz {fz_n:.2g} N of noise in a total without load"
     return [fact("force", text, sds)]
-
-
-def _saturated(picture: Picture) -> float:
-    """Return the share of pixels with a saturated channel."""
-    full = picture >= SATURATED_DN
-    return float((full.any(axis=2) if picture.ndim == 3 else full).mean())
