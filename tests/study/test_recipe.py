@@ -36,6 +36,23 @@ def test_a_folder_of_results_does_not_hide_the_scene_of_its_name(tmp_path: Path,
     assert load_scene("gelpad_press") == load_scene(shipped_scenes()["gelpad_press"])
 
 
+def test_what_is_given_later_varies_no_more(tmp_path: Path) -> None:
+    """It was drawn nevertheless, and what was given had no effect."""
+    (tmp_path / "own.toml").write_text(
+        'base = "dataset_kamiyama"\npress.friction = 0.6\n[vary."press.at_mm"]\nlow = [0, 0]\nhigh = [1, 1]\n'
+    )
+    own = load_scene(tmp_path / "own.toml")
+    assert own.press.friction == 0.6
+    assert set(load_scene("dataset_kamiyama").vary) - set(own.vary) == {"press.friction"}
+    assert own.vary["press.at_mm"].high == (1, 1)
+    steps = load_scene("dataset_slide").model_dump(include={"press": {"steps"}})["press"]["steps"]
+    fixed = load_scene("dataset_slide", {"press.steps": steps, "press.probe": {"kind": "sphere", "diameter_mm": 5.0}})
+    assert set(fixed.vary) == {"press.at_mm", "press.friction"}
+    assert "press.probe" not in load_scene("dataset_kamiyama", {"press.probe.diameter_mm": 5.0}).vary
+    both = {"press.friction": 0.5, "vary.press.friction": {"low": 0.4, "high": 0.6}}
+    assert load_scene("dataset_kamiyama", both).vary["press.friction"].low == 0.4
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_resolved_scene_reads_back_the_same(name: str) -> None:
     scene = load_scene(name)

@@ -530,8 +530,8 @@ def _refusal(away: Singles, noise: float, most: int) -> str:
         )
     return (
         f"the rest picture shows {most} spots, but they form no lattice: a layer is rows and "
-        "columns (or hexagons) of dots, fewer than half of them missing; is this a picture without "
-        "load, and are the dots in focus?"
+        "columns (or hexagons) of dots at most a tenth of the pitch beside their places, fewer "
+        "than half of them missing; is this a picture without load, and are the dots in focus?"
     )
 
 

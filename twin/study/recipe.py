@@ -17,7 +17,7 @@ import re
 import tomllib
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -152,6 +152,20 @@ def _forget_provenance(table: Table, key: str) -> None:
             table[kind] = {k: v for k, v in table[kind].items() if k != key}
 
 
+def _settled(table: Table, given: Iterable[str]) -> Table:
+    """Return a table whose [vary] leaves alone what is ``given`` a value later, by dotted keys."""
+    vary = table.get("vary")
+    if not isinstance(vary, dict):
+        return table
+    keys = [f"{key}." for key in given]
+    left = {
+        name: axis
+        for name, axis in flat(vary).items()
+        if not any(key.startswith(f"{name}.") or f"{name}.".startswith(key) for key in keys)
+    }
+    return {**table, "vary": left}
+
+
 def _override(table: Table, dotted: str, value: Any) -> None:
     """Put a value at a dotted key, and note that it is assumed; refuse a key through a value."""
     *parents, last = ["renderer"] if dotted == "picture.renderer" else dotted.split(".")
@@ -186,7 +200,8 @@ def _table_at(table: Table, names: list[str], dotted: str) -> Table:
     here = table
     for name in names:
         if not isinstance(here.setdefault(name, {}), dict):
-            raise RecipeError(f"{dotted}: '{name}' is not a table", "override")
+            what = "a list: give it whole" if isinstance(here[name], list) else "not a table"
+            raise RecipeError(f"{dotted}: '{name}' is {what}", "override")
         here[name] = dict(here[name])
         here = here[name]
     return here
@@ -371,6 +386,7 @@ def _resolved(path: Path, overrides: Mapping[str, Any]) -> Scene:
         name = added[0].split(".")[1]
         hint = did_you_mean(name, layers, f"its layers are {', '.join(layers) or 'none'}")
         raise RecipeError(f"{added[0]}: the scene has no markers.{name}; {hint}", "override")
+    table = _settled(table, overrides)
     for key, value in overrides.items():
         _override(table, key, value)
     body = table.get("body")
@@ -687,7 +703,7 @@ def _read_with_bases(path: Path, above: Sequence[Path] = ()) -> tuple[Table, lis
         raise RecipeError(f"base = '{base}': a scene can't be its own base", str(path))
     below, folders = _read_with_bases(base_path, chain)
     _require_material(below, table, base, path)
-    return _merged(below, table), [path.parent, *folders]
+    return _merged(_settled(below, flat(table, lambda _: False)), table), [path.parent, *folders]
 
 
 def _require_material(below: Table, above: Mapping[str, Any], base: str, path: Path) -> None:
