@@ -1,6 +1,7 @@
 """Pictures of two grids of markers, by `benchmarks.discs`."""
 
 import numpy as np
+import pytest
 
 from benchmarks.discs import expose, scene
 
@@ -12,6 +13,15 @@ def flat_layout(columns=10, rows=8, pitch=30.0, origin=(40.0, 40.0)):
         for k in (0, 1)
     )
     return {"red": red * pitch + origin, "blue": (blue + 0.5) * pitch + origin}
+
+
+WIDTHS = [8.0, 10.0, pytest.param(15.0, marks=pytest.mark.slow)]
+
+
+def wide(diameter):
+    """Return layout and size of a picture of markers of this diameter."""
+    pitch = max(30.0, 2.3 * diameter)
+    return flat_layout(8, 6, pitch, (pitch, pitch)), (int(9 * pitch), int(7 * pitch))
 
 
 SIZE, LAYOUT = (264, 204), flat_layout(8, 6, 30.0, (27.0, 27.0))
