@@ -49,8 +49,7 @@ def add_highlights(
     """
     _, light = scene.imaging
     assert markers.gloss is not None
-    seen = np.isfinite(job.top)
-    which = np.flatnonzero(markers.present & (markers.gloss[:, 0] > 0) & seen)
+    which = np.flatnonzero(markers.present & (markers.gloss[:, 0] > 0) & job.seen)
     index, roughness = markers.gloss[which].T[:, :, None]
     centres, axes, local = markers.centres[which], markers.axes[which], job.jacobian[which]
     leds = job.lamps[which, :, :3] * job.unit_mm + [0.0, 0.0, job.behind_mm]
