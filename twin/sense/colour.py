@@ -316,21 +316,6 @@ def _interpolate_colours(picture: Picture, blocks: tuple[int, int]) -> Picture:
     return np.clip(bright + (colour + 8 >> 4), 0, 255).astype(np.uint8)
 
 
-@njit(cache=True)
-def _project(image, red, green, blue, floor):
-    height, width = image.shape[0], image.shape[1]
-    signal = np.empty((height, width), np.float32)
-    for row in range(height):
-        for column in range(width):
-            value = (
-                red * image[row, column, 0]
-                + green * image[row, column, 1]
-                + blue * image[row, column, 2]
-            )
-            signal[row, column] = max(value, floor)
-    return signal
-
-
 def project(image: Picture, weights: Weights, floor_dn: float = -np.inf) -> Signal:
     """Return the (h, w) signal r R + g G + b B, counts, cut off below ``floor_dn``.
 
@@ -338,8 +323,11 @@ def project(image: Picture, weights: Weights, floor_dn: float = -np.inf) -> Sign
     the noise of the background, which the centroid then feels; without a floor a marker of the
     other layer would count as negative mass.
     """
-    red, green, blue, floor = (np.float32(w) for w in (*weights, floor_dn))
-    return np.asarray(_project(image, red, green, blue, floor))
+    red, green, blue = np.asarray(weights, np.float32)
+    signal = red * image[:, :, 0]
+    signal += green * image[:, :, 1]
+    signal += blue * image[:, :, 2]
+    return np.asarray(np.maximum(signal, np.float32(floor_dn)))
 
 
 def estimate_channels(
