@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import grey_closing, label, maximum_filter, uniform_filter
+from scipy.ndimage import grey_closing, uniform_filter
 
 from twin.arrays import Bools, Floats, Ints, Pixels
 from twin.compiled import njit
@@ -136,10 +136,11 @@ class Blobs:
         diameter_px = min(diameter_px, float(max(signal.shape)))
         half = max(1, round(0.3 * diameter_px))
         wide = max(2 * half + 2, round(1.5 * diameter_px))
-        smooth, broad = (
-            uniform_filter(signal, 2 * each + 1, mode="nearest") for each in (half, wide)
-        )
-        peaks = _peaks(smooth, broad, max(2, round(0.5 * diameter_px)), contrast_dn)
+        smooth = uniform_filter(signal, 2 * half + 1, mode="nearest")
+        broad = uniform_filter(signal, 2 * wide + 1, mode="nearest")
+        peaks = np.empty((MOST_SPOTS, 2), np.int64)
+        radius = max(2, round(0.5 * diameter_px))
+        peaks = peaks[: _peaks(smooth, broad, radius, np.float32(contrast_dn), peaks)]
         out = np.zeros((len(peaks), 8))
         reach, rim = int(np.ceil(1.5 * diameter_px)) + 2, int(np.ceil(0.5 * diameter_px))
         mark = np.zeros(signal.shape, np.int32)
@@ -417,17 +418,40 @@ def _measure(signal, smooth, peaks, reach, inner, outer, crowd_level, mark, stac
         out[k, 0], out[k, 1], out[k, 5], out[k, 7] = cx, cy, area, whole
 
 
+@njit(cache=True)
+def _peaks(smooth, broad, radius, contrast, found):
+    """Fill ``found`` (most, 2) with local maxima of smooth - broad within a square of ``radius``,
+    above ``contrast``: (column, row) each; return their number."""
+    height, width = smooth.shape
+    count = 0
+    for row in range(height):
+        for column in range(width):
+            here = smooth[row, column]
+            if here - broad[row, column] < contrast:
+                continue
+            before = max(smooth[row, max(column - 1, 0)], smooth[max(row - 1, 0), column])
+            if here < before:
+                continue
+            if column + 1 < width and smooth[row, column + 1] >= here:
+                continue
+            if row + 1 < height and smooth[row + 1, column] >= here:
+                continue
+            highest = True
+            for other in range(max(row - radius, 0), min(row + radius, height - 1) + 1):
+                for along in range(max(column - radius, 0), min(column + radius, width - 1) + 1):
+                    value = smooth[other, along]
+                    later = other > row or (other == row and along > column)
+                    if value > here or (value == here and later):
+                        highest = False
+                        break
+                if not highest:
+                    break
+            if highest and count < len(found):
+                found[count, 0] = column
+                found[count, 1] = row
+                count += 1
+    return count
+
+
 MOST_SPOTS = 20_000
 """Spots of a picture that are looked at."""
-
-
-def _peaks(smooth: Signal, broad: Signal, radius: int, contrast_dn: float) -> Ints:
-    """Return (p, 2) column and row of the local maxima of ``smooth`` within a square of ``radius``
-    that are ``contrast_dn`` above ``broad``; of connected pixels of one level the last."""
-    size = 2 * radius + 1
-    highest = smooth == maximum_filter(smooth, size, mode="nearest")
-    level, _ = label(highest & (smooth - broad >= contrast_dn), structure=np.ones((3, 3)))
-    row, column = np.nonzero(level)
-    _, last = np.unique(level[row, column][::-1], return_index=True)
-    peaks = np.stack([column, row], axis=1)[::-1][np.sort(last)[::-1]]
-    return np.ascontiguousarray(peaks[:MOST_SPOTS])
