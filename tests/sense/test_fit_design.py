@@ -18,6 +18,7 @@ RED = np.arange(61) < 25
 
 class Drawing:
     names = ("modulus", "red depth", "focal")
+    is_modulus = np.array([True, False, False])
     print_mm = 0.03
 
     def __init__(self, aside_mm=(0.0, 0.0), unsure_px=0.0):

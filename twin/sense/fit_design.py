@@ -85,6 +85,11 @@ class _Design(Protocol):
         ...
 
     @property
+    def is_modulus(self) -> Bools:
+        """(m,) which of them may lie far beyond its tolerance."""
+        ...
+
+    @property
     def print_mm(self) -> float:
         """Standard deviation of a marker's place along the surface, mm."""
         ...
@@ -161,7 +166,6 @@ class Fit:
         _check(presses)
         scaled, model = np.zeros(len(design.names)), FIRST_MODEL_PX
         width = np.ones(len(scaled))
-        modulus = np.array(["modulus" in name for name in design.names])
         known = np.hypot(presses.noise_px, design.unsure_px(presses))
         for _ in range(ROUNDS):
             residuals = _Residuals(design, presses, np.hypot(known, model), width)
@@ -172,7 +176,7 @@ class Fit:
             excess = weight[:, :, None] * (np.nan_to_num(left) ** 2 - known[:, :, None] ** 2) / 2
             least = (0.2 * presses.noise_px) ** 2
             before, model = model, max(float(excess.sum() / weight.sum()), least) ** 0.5
-            refuted = modulus & (np.abs(scaled) > REFUTED * width)
+            refuted = design.is_modulus & (np.abs(scaled) > REFUTED * width)
             width = np.where(refuted, np.abs(scaled), width)
             if abs(model - before) < 0.1 * before and not refuted.any():
                 break

@@ -118,6 +118,7 @@ class FittedDesign:
         self._parameters = tuple(sizes)
         self.sizes = {name: size for name, size in sizes.items() if size > 0}
         self.names = tuple(self.sizes)
+        self.is_modulus = np.array([name == "youngs_modulus" for name in self.names])
         self.print_mm = max(room.print_mm, 1e-3)
         self._progress = progress
         self._added: dict[bytes, Floats] = {}
@@ -316,8 +317,7 @@ class FittedDesign:
         material = self.scene.material
         modulus, nu = material.youngs_modulus_mpa, material.poisson_ratio
         coarse, weights = self._few
-        stiffness = np.array([name == "youngs_modulus" for name in self.names])
-        rest = self.compliance(np.where(stiffness, 0.0, scaled), markers, coarse)
+        rest = self.compliance(np.where(self.is_modulus, 0.0, scaled), markers, coarse)
         nu_now = nu + found["poisson_ratio"]
         rest = rest - halfspace.compliance(markers, coarse, modulus, nu_now)
         rest = rest.reshape(len(rest), len(self.places), -1, 3)
