@@ -674,4 +674,5 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
     (tmp_path / "presses.csv").write_text("\n".join([*pulled[:-1], lines[-1]]) + "\n")
     said = calibrate_to_file(fitted, tmp_path / "f.npz", folder=tmp_path)
     assert "the presses do not fit this sensor" in said
+    assert "total forces are further off than is stated" in said
     assert read_calibration(tmp_path / "f.npz").scale_error > 0.5, said
