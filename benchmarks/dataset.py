@@ -37,13 +37,14 @@ RECTANGLE = {
     },
 }
 CASES: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    ("flat, all", "dataset_kamiyama", {}),
+    ("flat, all, traced", "dataset_kamiyama", {"accuracy.centroid_px": "auto"}),
+    ("flat, all, fast path", "dataset_kamiyama", {}),
     ("flat, no pictures, friction", "dataset_kamiyama", {"dataset.columns": TRUTH}),
     ("flat, no pictures, frictionless", "dataset_kamiyama", {"dataset.columns": TRUTH, **FRICTIONLESS}),
     ("flat, all, two round footprints given", "dataset_tractions", {}),
     ("flat, no pictures, two round footprints", "dataset_tractions", {"dataset.columns": TRUTH}),
     ("flat, no pictures, a rectangle given", "dataset_tractions", {"dataset.columns": TRUTH, **RECTANGLE}),
-    ("finger, all", "dataset_sato", {}),
+    ("finger, all, fast path", "dataset_sato", {}),
 )
 
 COUNT = 24
@@ -59,7 +60,7 @@ MANY = 96
 def measure(quick: bool) -> list[dict[str, Any]]:
     """Return one row a case; the quick form tries four samples of two cases."""
     if quick:
-        return [_case(*case, FEW) for case in CASES[:2]]
+        return [_case(*case, FEW) for case in CASES[1:3]]
     return [_case(*case, MANY if "no pictures" in case[0] else COUNT) for case in CASES]
 
 

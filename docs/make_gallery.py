@@ -168,11 +168,11 @@ CAMERAS = Room(
     (
         Plate(
             "renderers",
-            "`splat` draws the markers in closed form. `path` is Mitsuba's own path integrator: markers shadow the "
-            "cover and light each other. Brightened.",
+            "`splat` and `mitsuba` draw the same picture, without and with Mitsuba. `path` is Mitsuba's own path "
+            "integrator: markers shadow the cover and light each other. Brightened.",
             """
-            figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
-            for ax, renderer in zip(axes, ("splat", "path")):
+            figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+            for ax, renderer in zip(axes, ("splat", "mitsuba", "path")):
                 scene = twin.load_scene("kamiyama_pillar", {"renderer": renderer})
                 ax.imshow((twin.Sensor(scene).picture(None)[180:300, 240:400] / 255) ** 0.5)
                 ax.set_title(renderer)

@@ -165,7 +165,8 @@ def test_no_tolerance_takes_what_is_positive_below_zero(key: str, monkeypatch: p
     assert made.prints is None or min(made.prints.size.min(), made.prints.shade.min()) > 0
 
 
-def test_a_missing_marker_is_neither_shown_nor_told_visible() -> None:
+def test_a_missing_marker_is_neither_shown_nor_told_visible(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TWIN_VARIANT", "splat")
     sensor = Sensor(load_scene("sato_press", {"tolerance.missing": 0.2}))
     prints = sensor.actual.prints
     outlines = sensor.renderer.outlines(sensor.ellipsoids(None))
@@ -177,7 +178,8 @@ def test_a_missing_marker_is_neither_shown_nor_told_visible() -> None:
     assert picture.shape == (480, 640, 3)
 
 
-def test_a_bright_cover_shows_its_bulge_when_asked_to() -> None:
+def test_a_bright_cover_shows_its_bulge_when_asked_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TWIN_VARIANT", "splat")
     keys = {"ccd.preset": "ideal", "cover.albedo": [0.6, 0.6, 0.6], "camera.width_px": 160, "camera.height_px": 120,
             "camera.focal_px": 453.7, "light.positions_mm": [[45, 0, 60]], "tolerance.preset": "none"}  # fmt: skip
     load = Traction.disk((0, 0), 2.5, (0, 0, 3.0))

@@ -162,7 +162,6 @@ def test_the_renderer_is_found_under_picture_too(tmp_path: Path) -> None:
     mine.write_text('base = "kamiyama_pillar"\n[picture]\nrenderer = "path"\n')
     assert load_scene(mine).renderer == "path"
     assert load_scene(mine, {"picture.renderer": "splat"}).renderer == "splat"
-    assert load_scene(mine, {"picture.renderer": "mitsuba"}).renderer == "path"
     with pytest.raises(RecipeError, match=r"renderer = 'raster': must be 'auto'"):
         load_scene(mine, {"picture.renderer": "raster"})
     mine.write_text('base = "kamiyama_pillar"\nrenderer = "path"\npicture = {renderer = "splat"}\n')

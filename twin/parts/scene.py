@@ -91,9 +91,10 @@ class Scene(Part):
     camera
         Without one nothing is rendered.
     renderer
-        What makes the picture: ``splat`` (closed form, without Mitsuba), ``path`` (Mitsuba's path
-        integrator, with light between markers, cover and window: seconds a picture, and noise), or
-        ``auto``, the splat. ``mitsuba`` is another word for ``path``. A recipe may write it as
+        What makes the picture: ``mitsuba`` (its ray tracing, light by our own sum over the LEDs),
+        ``splat`` (closed form, without Mitsuba), ``path`` (Mitsuba's path integrator, with light
+        between markers, cover and window: seconds a picture, and noise), or ``auto``: Mitsuba where
+        it works, the splat where ``accuracy.centroid_px`` is a number. A recipe may write it as
         ``picture.renderer``.
     press
         Without one the sensor is only at rest.
@@ -355,11 +356,6 @@ class Scene(Part):
     reconstruction: Reconstruction | None = None
     dataset: Dataset = Dataset()
     vary: dict[str, Distribution] = Field(default_factory=dict)
-
-    @field_validator("renderer")
-    @classmethod
-    def _by_its_present_name(cls, name: str) -> str:
-        return "path" if name == "mitsuba" else name
 
     @field_validator("vary", mode="before")
     @classmethod

@@ -50,9 +50,10 @@ def lit(*colours, **light):
     return changed(block(), light={"ambient": 0.0, "radius_mm": 2.0, **light, "colours": colours})
 
 
-def test_light_of_coloured_leds_adds_up():
-    together = light_of(lit(ONE, TWO, TWO, ONE))[1]
-    apart = light_of(lit(ONE, DARK, DARK, ONE))[1] + light_of(lit(DARK, TWO, TWO, DARK))[1]
+@pytest.mark.parametrize("make", [lambda: SPLAT, mitsuba])
+def test_light_of_coloured_leds_adds_up(make):
+    together = light_of(lit(ONE, TWO, TWO, ONE), make())[1]
+    apart = light_of(lit(ONE, DARK, DARK, ONE), make())[1] + light_of(lit(DARK, TWO, TWO, DARK), make())[1]
     assert_allclose(together, apart, rtol=1e-4, atol=1e-6 * together.max())
     assert (together.max(axis=(0, 1)) > 0).all()
 

@@ -1,7 +1,7 @@
-"""What this machine can do: Mitsuba for pictures by paths, and the memory for a picture.
+"""What this machine can do: the renderer, and the memory for a picture.
 
-``cuda_ad_rgb`` is Mitsuba on an NVIDIA GPU, ``llvm_ad_rgb`` Mitsuba on the processor and ``splat``
-the renderer without Mitsuba. Mitsuba on the processor needs a system libLLVM of version 19
+Renderers: ``cuda_ad_rgb`` is Mitsuba on an NVIDIA GPU, ``llvm_ad_rgb`` Mitsuba on the processor and
+``splat`` a renderer without Mitsuba. Mitsuba on the processor needs a system libLLVM of version 19
 or later; with LLVM 15 or 16 it aborts the process, which no ``except`` can catch. So each library
 is tried once in a process of its own, and the verdict is stored with its path, size and time.
 
@@ -114,7 +114,7 @@ class Variant:
     library
         The libLLVM it uses, if any.
     reason
-        One line: why this one, and of the splat how to get Mitsuba.
+        One line: why this one, and how to get a faster one if there is.
     """
 
     name: str
@@ -169,7 +169,7 @@ class Variant:
         return Variant(
             name="splat",
             library=None,
-            reason=f"{why}: {REMEDY}",
+            reason=f"pictures are made without Mitsuba, as {why}: {REMEDY}",
         )
 
     @staticmethod

@@ -49,7 +49,8 @@ def add_highlights(
     """
     _, light = scene.imaging
     assert markers.gloss is not None
-    which = np.flatnonzero(markers.present & (markers.gloss[:, 0] > 0) & job.seen)
+    seen = np.isfinite(job.top)
+    which = np.flatnonzero(markers.present & (markers.gloss[:, 0] > 0) & seen)
     index, roughness = markers.gloss[which].T[:, :, None]
     centres, axes, local = markers.centres[which], markers.axes[which], job.jacobian[which]
     leds = job.lamps[which, :, :3] * job.unit_mm + [0.0, 0.0, job.behind_mm]

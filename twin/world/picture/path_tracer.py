@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import isqrt
-from multiprocessing import parent_process
 from typing import Any
 
 import drjit as dr
@@ -33,9 +32,6 @@ from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.stock_scene import Triangles, surfaces, window
-
-if parent_process() is not None:  # of many workers each is faster with one thread
-    dr.set_thread_count(1)
 
 _LENGTH = 12
 """Interactions that a path is followed through."""

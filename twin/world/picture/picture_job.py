@@ -87,8 +87,9 @@ class PictureJob:
     centres, axes, metric
         (n, 3) centres, (n, 3, 3) conjugate semi-axes in columns, and (n, 3, 3) the matrices M of
         the ellipsoids (x - c)^T M (x - c) = 1. Lost markers lie far aside.
-    seen
-        (n,) whether the camera sees the place.
+    pad, top
+        (n,) how much larger than a marker a search for its edge has to be, and a height just behind
+        each marker, -inf where it isn't seen.
     lamps
         (n, leds, 7) place and power of the LEDs' images per marker, and the power's change along x,
         y and z.
@@ -116,7 +117,8 @@ class PictureJob:
     centres: Floats
     axes: Floats
     metric: Floats
-    seen: Bools
+    pad: Floats
+    top: Floats
     lamps: Floats
     tints: Floats
     even: Floats
@@ -173,7 +175,7 @@ class PictureJob:
             centres_px, conjugate, half, seen, view.sees
         )
 
-        # Heights count from just behind all markers, edges included.
+        # Mitsuba's rays start just behind the markers, and its search for edges needs larger ones.
         stretch = np.sqrt(_least_eigenvalues(jacobian @ np.swapaxes(jacobian, 1, 2)))
         pad_mm = np.where(seen, _EDGE_SEARCH / subpixels / stretch, 0.0)
         thick = np.sqrt(np.sum(axes[:, 2] ** 2, axis=1))
@@ -212,7 +214,8 @@ class PictureJob:
             centres=np.where(here[:, None], (centres - [0.0, 0.0, behind_mm]) / unit_mm, _ABSENT),
             axes=scaled,
             metric=_metric(scaled),
-            seen=seen,
+            pad=pad_mm / unit_mm,
+            top=(top_mm - behind_mm) / unit_mm,
             lamps=np.concatenate([place, power, lamps.change * (unit_mm / full)], axis=2),
             tints=tints,
             even=even,

@@ -4,9 +4,6 @@
 them. `_PathRenderer` has the whole picture made by Mitsuba's path integrator. Outlines come from
 the splat in closed form, whatever draws the picture, and are its truth.
 
-Why no ray tracer of the same folded optics: one with Mitsuba's intersections took 5.5 times the
-splat's time on two cores, and as long on a GPU, for centroids twice as far off.
-
 Validity: markers at least a sub-pixel in radius. Defocus is the mean of pictures through points of
 the pupil (`twin.world.picture.camera_rays`); outlines are those through its middle, and of light of
 588 nm where an index depends on the wavelength.
@@ -19,7 +16,7 @@ import os
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,6 +30,7 @@ from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import Lamps
+from twin.world.picture.mitsuba_tracer import MitsubaTracer
 from twin.world.picture.picture_job import PictureJob, Shader
 from twin.world.picture.splat import Outlines, Splat
 
@@ -41,12 +39,14 @@ if TYPE_CHECKING:
 
 RENDERERS: dict[str, Callable[[View, float, float], Shader]] = {
     "splat": Splat,
+    "llvm_ad_rgb": partial(MitsubaTracer, "llvm_ad_rgb"),
+    "cuda_ad_rgb": partial(MitsubaTracer, "cuda_ad_rgb"),
 }
 """What makes each renderer, by its name: of the camera's rays, the length of the renderer's unit in
 mm, and the share of light that comes from all around."""
 
-_ERROR_PX = (0.0215, 0.0095, 0.0052, 0.0038)
-"""The splat's largest error of an intensity centroid for k = 1 to 4; beyond, it falls as 1/k."""
+_ERROR_PX = {"splat": (0.0215, 0.0095, 0.0052, 0.0038), "traced": (0.033, 0.0148, 0.0107, 0.0096)}
+"""The largest error of an intensity centroid for k = 1 to 4; beyond, the splat's falls as 1/k."""
 
 _PATH_PX = 0.033
 """The largest error of an intensity centroid by noise at 64 paths a pixel; it falls as their root.
@@ -75,7 +75,7 @@ class Renderer:
     rest
         The markers at rest, by which the exposure is set.
     variant
-        How to render; None: as the scene says.
+        How to render; None: the best for ``accuracy.centroid_px`` that works here.
     subpixels
         k of the k x k rays per pixel; None: from ``accuracy.centroid_px``.
     shadows
@@ -113,9 +113,9 @@ class Renderer:
         self._rest = rest
         wanted = scene.accuracy.centroid_px
         self.variant = variant or self.method(scene)
-        needed = isinstance(wanted, str) or wanted < _centroid_error(1, False)
+        needed = isinstance(wanted, str) or wanted < _centroid_error(1, False, self.variant.name)
         self.shadows = needed if shadows is None else shadows
-        self.subpixels = subpixels or _subpixels_for(wanted)
+        self.subpixels = subpixels or _subpixels_for(wanted, self.variant.name)
         self._top, white = Lamps.brightest(rest, scene)
         self._unit = float(np.median([layer.diameter_mm / 2 for layer in scene.markers.values()]))
         view = View.of(scene, self._top)
@@ -150,12 +150,13 @@ class Renderer:
     def method(scene: Scene) -> Variant:
         """Return how to render a scene: as its ``renderer`` says.
 
-        ``auto`` takes the splat, or the one of `RENDERERS` that the environment names.
+        With ``auto``, and no variant named in the environment, a number in ``accuracy.centroid_px``
+        takes the cheapest way, and ``auto`` there Mitsuba where it works.
 
         Raises
         ------
         MissingCapability
-            The scene asks for paths, and Mitsuba doesn't work here.
+            The scene asks for Mitsuba, which doesn't work here.
         RecipeError
             A glossy skin of a smaller index than the rubber's, or dispersion by paths.
         """
@@ -172,13 +173,17 @@ class Renderer:
                     f"markers.{name}.gloss = {layer.gloss}: the skin's index must be above that of "
                     f"the rubber, material.refractive_index = {index:g}"
                 )
-        if asked != "path":
-            named = os.environ.get(FORCE, "")
-            return Variant.choose(named if asked == "auto" and named in RENDERERS else "splat")
+        if asked == "splat":
+            return Variant.choose("splat")
+        wanted = scene.accuracy.centroid_px
+        if asked == "auto" and not isinstance(wanted, str) and not os.environ.get(FORCE):
+            why = f"cheapest for accuracy.centroid_px = {wanted:g}"
+            return Variant(name="splat", library=None, reason=why)
         chosen = Variant.choose()
-        if not chosen.name.endswith("_ad_rgb"):
+        if asked != "auto" and not chosen.name.endswith("_ad_rgb"):
             raise MissingCapability(
-                f"renderer = 'path' needs Mitsuba, but {chosen.reason}; or take renderer = 'splat'"
+                f"renderer = {asked!r} needs Mitsuba, but {chosen.reason}; or take renderer = "
+                "'splat'"
             )
         return chosen
 
@@ -195,12 +200,14 @@ class Renderer:
     @property
     def centroid_error_px(self) -> float:
         """Bound on the error of intensity centroids in the noise-free picture, px."""
-        return _centroid_error(self.subpixels, self.shadows)
+        return _centroid_error(self.subpixels, self.shadows, self.variant.name)
 
     @property
     def drawn_by(self) -> str:
-        """What draws the pictures, in one line."""
-        return self.variant.name
+        """What draws the pictures, in one line; of the splat also why that, and what is faster."""
+        if self.variant.name != "splat":
+            return self.variant.name
+        return f"{self.variant.name}: {self.variant.reason}"
 
     @property
     def exposure(self) -> float:
@@ -426,20 +433,21 @@ def _colours(scene: Scene) -> list[tuple[Singles, dict[str, Any]]]:
     return colours
 
 
-def _subpixels_for(centroid_px: float | str) -> int:
+def _subpixels_for(centroid_px: float | str, method: str) -> int:
     """Return the least k whose error is at most ``centroid_px``; ``auto`` is 3, below the noise of
     one exposure."""
     if isinstance(centroid_px, str):
         return 3
-    enough = (k for k in range(1, _FINEST) if _centroid_error(k, True) <= centroid_px)
+    enough = (k for k in range(1, _FINEST) if _centroid_error(k, True, method) <= centroid_px)
     return next(enough, _FINEST)
 
 
-def _centroid_error(subpixels: int, shadows: bool) -> float:
+def _centroid_error(subpixels: int, shadows: bool, method: str) -> float:
     """Return a bound on the error of intensity centroids, px.
 
-    Measured for both sensors (picture benchmark), most of it from the edges of shadows.
+    Measured for both sensors (picture benchmark), most of it from the edges of shadows. Those of
+    Mitsuba's rays are hard, so that finer grids than 4 x 4 were not always better there.
     """
-    beyond = min(len(_ERROR_PX) / subpixels, 1.0)
-    bound = _ERROR_PX[min(subpixels, len(_ERROR_PX)) - 1] * beyond
-    return bound + (0.0 if shadows else _SHADOW_PX)
+    bounds = _ERROR_PX["splat" if method == "splat" else "traced"]
+    beyond = min(len(bounds) / subpixels, 1.0) if method == "splat" else 1.0
+    return bounds[min(subpixels, len(bounds)) - 1] * beyond + (0.0 if shadows else _SHADOW_PX)
