@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 
 from benchmarks.conditions import Card, mosaic
 from benchmarks.discs import bound_px, cover, expose, scene
-from twin.sense.track import analyse_rest, track, track_frame
+from twin.sense.track import Tracker, analyse_rest, track, track_frame
 
 
 @pytest.mark.parametrize("diameter", [10.0, 15.0])
@@ -292,6 +292,26 @@ def test_noise_of_rows_hot_pixels_and_other_light_are_stated(camera, diameter, l
     assert np.isfinite(error).mean() > 0.99
     assert np.sqrt(np.nanmean(error**2)) < largest
     assert 0.65 < np.sqrt(np.nanmean(score**2)) < 1.3
+
+
+@pytest.mark.parametrize(("share", "period_px"), [(0.12, 45.0), (0.04, 70.0), (0.0, 45.0)])
+def test_bands_of_a_light_that_flickers_move_no_marker(share, period_px):
+    """A rolling shutter: .1 px off, 2.3 times what was stated, a tenth of the markers unnoticed."""
+    card, score = Card(10.0), []
+
+    def lit(image, phase, seed):
+        bands = 1.0 + share * np.sin(2 * np.pi * np.arange(len(image)) / period_px + phase)
+        return expose(bands[:, None, None] * image, seed)
+
+    tracker = Tracker(lit(card.draw(), 0.0, 1), card.layout)
+    assert (tracker.rest.flaws.ground is None) == (share == 0.0)
+    for seed in range(2, 5):
+        shift = 3.0 * np.sin(card.marks[:, ::-1] / [80.0, 90.0] + seed)
+        found = tracker.track(lit(card.draw(shift), 1.7 * seed, seed))
+        assert found.seen.mean() > 0.99
+        assert np.nanstd(found.shift_px - shift) < 0.013
+        score.append((found.shift_px - shift) / found.sd_px[:, None])
+    assert 0.5 < np.sqrt(np.nanmean(np.square(score))) < 1.3
 
 
 @pytest.mark.parametrize("diameter", [3.5, 4.5])

@@ -12,13 +12,13 @@ belongs to which layer is decided by the layout, never by a layer's name.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, medians
 from twin.compiled import njit
 from twin.errors import InputError
 
@@ -59,10 +59,14 @@ class Flaws:
         colours; None where it has not.
     bad
         Row, column and channel of the pixels that are hot or dead.
+    ground
+        (h, q) brightness of the ground at rest, of some columns, less the bands of a light that
+        flickers while a camera reads its rows one after the other; None without bands.
     """
 
     blocks: tuple[int, int] | None
     bad: tuple[Ints, Ints, Ints]
+    ground: Singles | None = None
 
     @classmethod
     def of(cls, picture: Picture) -> Flaws:
@@ -74,6 +78,49 @@ class Flaws:
         if len(self.bad[0]):
             picture = _repaired(picture, self.bad)
         return picture if self.blocks is None else _interpolate_colours(picture, self.blocks)
+
+    def seen_without_bands(
+        self, picture: Picture, marks_px: Pixels, clear_px: float, margin_px: float
+    ) -> tuple[Flaws, Picture]:
+        """Return these flaws, with the `ground`, and a rest picture without bands, if it has any.
+
+        The ground of every row, over that of the columns, is a smooth function of the row: light,
+        vignetting. What is left of it are bands. ``marks_px`` (n, 2) are all markers, whose ground
+        begins ``clear_px`` from their centres; it is looked at ``margin_px`` around them.
+        """
+        ground = _bare_ground(picture, marks_px, clear_px, margin_px)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            even = ground / _medians_of(ground, axis=0)
+        seen = np.flatnonzero(np.isfinite(even).any(axis=0))
+        if not len(seen) or np.nanmedian(ground) < DARK_DN:
+            return self, picture
+        # Light is the same on both halves of a row, the ground's texture is not.
+        middle = seen[len(seen) // 2]
+        parts = np.stack([_by_row(part) for part in (even, even[:, :middle], even[:, middle:])])
+        rows = np.flatnonzero(np.isfinite(parts).all(axis=0))
+        if len(rows) < LEAST_ROWS:
+            return self, picture
+        place = np.linspace(-1.0, 1.0, len(rows))
+        trend = np.polynomial.polynomial.polyfit(place, parts[:, rows].T, TREND)
+        bands, *halves = parts[:, rows] / np.polynomial.polynomial.polyval(place, trend)
+        alike = np.corrcoef(halves)[0, 1]
+        if bands.std() < BANDED or not alike > ALIKE:
+            return self, picture
+        by = np.interp(np.arange(len(picture)), rows, bands)[:, None]
+        return replace(self, ground=(ground / by).astype(np.float32)), _dimmed(picture, by)
+
+    def without_bands(
+        self, picture: Picture, marks_px: Pixels, clear_px: float, margin_px: float
+    ) -> Picture:
+        """Return a picture in the light of the rest picture, row by row; arguments as for
+        `seen_without_bands`."""
+        assert self.ground is not None
+        now = _bare_ground(picture, marks_px, clear_px, margin_px)
+        bands = _by_row(now / self.ground)
+        rows = np.flatnonzero(np.isfinite(bands))
+        if not len(rows):
+            return picture
+        return _dimmed(picture, np.interp(np.arange(len(bands)), rows, bands[rows])[:, None])
 
     @staticmethod
     def repeats_blocks(before: Picture, picture: Picture) -> bool:
@@ -194,6 +241,75 @@ def _between(levels: NDArray[np.int16]) -> Floats:
             if off[row::2].size:
                 shares[row, column] = (np.abs(off[row::2]) <= 1).mean(axis=(0, 1))
     return shares
+
+
+LEAST_ROWS, TREND, BANDED = 60, 4, 0.004
+"""Rows of ground in which bands are looked for; the degree of what else the light does over these;
+and the standard deviation of bands that are taken off, as a share of the light (without any .0001
+to .002), where that is more than `DARK_DN`: darker ground shows rounding."""
+
+ALIKE = 0.8
+"""Correlation of bands in both halves of the rows; of grained ground it is -.15 to .12."""
+
+COLUMNS = 400
+"""About so many columns of a picture are looked at."""
+
+LEAST_GROUND = 12
+"""Pixels of ground that show a row's brightness."""
+
+ROWS = np.linalg.pinv(np.vander(np.arange(-7, 8), 4))[3]
+"""Weights of a row and its neighbours in a local cubic, which noise moves less than one row."""
+
+
+def _bare_ground(picture: Picture, marks: Pixels, clear: float, margin: float) -> Floats:
+    """Return the brightness of some of the columns of a picture, (h, w); NaN at markers, and beyond
+    ``margin`` around all."""
+    places = marks[np.isfinite(marks).all(axis=1)]
+    every = max(picture.shape[1] // COLUMNS, 1)
+    bright: Floats = picture[:, ::every] @ LUMA
+    covered = np.ones(bright.shape, np.bool_)
+    if len(places):
+        first = np.fmax(places.min(axis=0) - margin, 0.0) // [every, 1]
+        left, top = first.astype(int)
+        right, bottom = ((places.max(axis=0) + margin) // [every, 1]).astype(int)
+        covered[top : bottom + 1, left : right + 1] = False
+    reach = int(np.ceil(clear)) + 1
+    for x, y in places:
+        top, left = max(int(y) - reach, 0), max(int(x) - reach, 0) // every
+        part = covered[top : int(y) + reach + 1, left : int(x + reach) // every + 1]
+        down, across = np.ogrid[: part.shape[0], : part.shape[1]]
+        part |= (down + top - y) ** 2 + (every * (across + left) - x) ** 2 < clear**2
+    bright[covered] = np.nan
+    return bright
+
+
+def _medians_of(values: Floats, axis: int) -> Floats:
+    """Return medians along an axis, NaN where fewer than `LEAST_GROUND` are known."""
+    few = np.isfinite(values).sum(axis=axis) < LEAST_GROUND
+    return np.where(few, np.nan, medians(values, axis))
+
+
+def _by_row(values: Floats) -> Floats:
+    """Return (h,) the medians of rows, smoothed; NaN where there are none."""
+    row = _medians_of(values, axis=1)
+    known = np.flatnonzero(np.isfinite(row))
+    if len(known) < LEAST_ROWS:
+        return np.full_like(row, np.nan)
+    first, last = known[0], known[-1] + 1
+    half = len(ROWS) // 2
+    whole = np.interp(np.arange(first, last), known, row[known])
+    # beyond its ends a row's brightness goes on as its mirror image through the last value
+    before, after = 2 * whole[0] - whole[half:0:-1], 2 * whole[-1] - whole[-2 : -half - 2 : -1]
+    row[first:last] = np.convolve(np.concatenate([before, whole, after]), ROWS[::-1], "valid")
+    return row
+
+
+def _dimmed(picture: Picture, by: Floats) -> Picture:
+    """Return a picture divided by (h, 1), in its own kind of counts."""
+    light = picture / by[:, :, None]
+    if picture.dtype == np.uint8:
+        return np.clip(np.rint(light), 0, 255).astype(np.uint8)
+    return light.astype(picture.dtype)
 
 
 BLOCK = 8

@@ -40,6 +40,9 @@ METHODS: dict[CentreMethod, type[CentreEstimator]] = {
     "two-pass": PaperCentroid,
 }
 
+CLEAR_PX = 3.0
+"""So far beyond an edge the ground is bare, for blur and motion."""
+
 NARROWEST_PX = 3.0
 """No marker is looked for as if it were narrower."""
 
@@ -88,6 +91,12 @@ class Rest:
     flaws: Flaws
     film: bool = False
 
+    @property
+    def ground_px(self) -> tuple[float, float]:
+        """How far from markers' centres the ground begins, and how far it is looked at, px."""
+        widest = max(group.look.diameter_px for group in self.groups)
+        return 0.5 * widest + CLEAR_PX, 0.5 * max(group.around.spacing_px for group in self.groups)
+
 
 def analyse_rest(
     rest_image: Picture,
@@ -104,6 +113,23 @@ def analyse_rest(
     picture = flaws.mended(picture)
     drawn = _checked_layout(layout)
     _check_options(drawn, diameter_px, polarity, channels, method)
+    rest = _analysed(picture, flaws, drawn, diameter_px, polarity, channels, method)
+    flaws, picture = flaws.seen_without_bands(picture, rest.rest_px, *rest.ground_px)
+    if flaws.ground is None:
+        return rest
+    return _analysed(picture, flaws, drawn, diameter_px, polarity, channels, method)
+
+
+def _analysed(
+    picture: Picture,
+    flaws: Flaws,
+    drawn: dict[str, Pixels],
+    diameter_px: float | None,
+    polarity: str | None,
+    channels: Mapping[str, Weights] | None,
+    method: CentreMethod,
+) -> Rest:
+    """Find the markers of the layout ``drawn`` in a picture less its ``flaws``."""
     size = min(spacing(p) for p in drawn.values())
     if channels is None:
         weights = estimate_channels(

@@ -400,6 +400,21 @@ def track_frame(
             f"start_px must be {rest.rest_px.shape} px, one row a marker, got {np.shape(start_px)}"
         )
     picture = rest.flaws.mended(picture)
+    if rest.flaws.ground is None:
+        return _measured(rest, picture, start_px, whole)
+    # A light that flickers has dark and bright rows in every picture, which show on the ground.
+    shift_px = np.zeros_like(rest.rest_px) if start_px is None else start_px
+    for _ in range(2):
+        even = rest.flaws.without_bands(picture, rest.rest_px + shift_px, *rest.ground_px)
+        found = _measured(rest, even, start_px, whole)
+        if not found.seen.any():
+            break
+        shift_px = found.shift_px
+    return found
+
+
+def _measured(rest: Rest, picture: Picture, start_px: Pixels | None, whole: bool = False) -> Found:
+    """Measure the motion as `track_frame` does, in a ``picture`` less the camera's flaws."""
     shift, drift = np.full(rest.rest_px.shape, np.nan), np.zeros(rest.rest_px.shape)
     sd = np.full(len(rest.rest_px), np.nan)
     state = np.full(len(rest.rest_px), MISSING, np.uint8)
@@ -425,7 +440,7 @@ def track_frame(
     other = state != AMBIGUOUS
     if start_px is None and not other.all() and 2 * (~lost).sum() > other.sum():
         _, near = cKDTree(rest.rest_px[~lost]).query(np.nan_to_num(rest.rest_px))
-        return track_frame(rest, image, shift[~lost][near])
+        return _measured(rest, picture, shift[~lost][near])
     sd[lost] = np.nan
     state[~lost & (state != STRAINED) & (state != PARTLY_HIDDEN)] = SEEN
     for array in (shift, sd, state, usual, drift):
