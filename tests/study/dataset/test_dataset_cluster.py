@@ -2,7 +2,6 @@
 
 import multiprocessing
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -19,7 +18,6 @@ import twin
 from twin.errors import InputError, MissingCapability
 from twin.study.batch import pool
 from twin.study.batch.pool import Job, Pool
-from twin.study.dataset.sample import ShardBytes
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parent.parent)}
 
@@ -166,15 +164,3 @@ def test_a_cluster_without_common_files_survives_a_killed_worker(tmp_path: Path)
     assert killed
     assert not done.missing
     assert contents(tmp_path / "many") == contents(tmp_path / "one")
-
-
-def test_a_shard_travels_whole_by_every_protocol_of_pickle() -> None:
-    shard = ShardBytes(samples=b"samples", sensors=None, failed=1, reason="why")
-    apart: list[pickle.PickleBuffer] = []
-    for protocol in range(2, pickle.HIGHEST_PROTOCOL + 1):
-        assert pickle.loads(pickle.dumps(shard, protocol)) == shard
-    held = pickle.dumps(shard, 5, buffer_callback=apart.append)
-    assert b"samples" not in held.replace(b"ShardBytes", b"")
-    there = pickle.loads(held, buffers=[memoryview(each) for each in apart])
-    assert pickle.loads(pickle.dumps(there, 4)) == shard
-    assert bytes(there.samples) == b"samples"

@@ -50,9 +50,6 @@ if TYPE_CHECKING:
     from twin.world.picture.splat import Outlines
 
 _Row = dict[str, Any]
-_Bytes = bytes | bytearray | memoryview
-"""A file's contents; those from another process are not copied into one type."""
-
 _INTERNAL = (ArithmeticError, ValueError, LookupError, AssertionError, RuntimeError)
 """What a mistake of this program raises: it fails a sample, not the run."""
 
@@ -321,22 +318,10 @@ class ShardBytes:
     There are no sensors if all of its samples are pressed on those of earlier shards.
     """
 
-    samples: _Bytes
-    sensors: _Bytes | None
+    samples: bytes
+    sensors: bytes | None
     failed: int
     reason: str
-
-    def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
-        """Pickle the files as NumPy arrays, which travel between processes without a copy."""
-        files = [
-            each if each is None else np.frombuffer(each, np.uint8)
-            for each in (self.samples, self.sensors)
-        ]
-        return _arrived, (*files, self.failed, self.reason)
-
-
-def _arrived(samples: Any, sensors: Any, failed: int, reason: str) -> ShardBytes:
-    return ShardBytes(samples.data, sensors if sensors is None else sensors.data, failed, reason)
 
 
 class _Workshop:
