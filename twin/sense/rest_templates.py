@@ -700,19 +700,24 @@ class BareGround:
         count = len(self.places_px)
         widest = max(growth, 1.0) * _widest(templates)
         covered = _covered(picture, self.marks_px + moved_on[count:], widest)
-        places = np.concatenate([self.places_px + moved_on[:count], self.places_px])
-        moved, by_noise = _moved_by_ground(picture, templates, places, covered)
         smooth = slope_terms(self.places_px, picture.shape)
-        squares = []
-        for rows in (slice(count), slice(count, None)):
-            change = moved[rows] - self.moved_px
+
+        def changed(places: Pixels) -> tuple[float, float]:
+            """Return the mean squares of what the ground now moves markers at places more than at
+            rest: by what is around them, and by what is behind them too."""
+            moved, by_noise = _moved_by_ground(picture, templates, places, covered)
+            change = moved - self.moved_px
             known = np.isfinite(change[:, 0])
-            noise = medians(by_noise[rows][known]) if known.any() else 0.0
+            noise = medians(by_noise[known]) if known.any() else np.zeros(2)
             if known.sum() < QUADRATIC:
                 change = np.sqrt(2.0) * self.moved_px  # as if the texture were another one
-            square = _uneven(change, smooth) - 2.0 * noise
-            squares.append(np.fmax(square, 0.0))
-        (there, _), (here, whole) = squares
+            around, behind = np.fmax(_uneven(change, smooth) - 2.0 * noise, 0.0)
+            return float(around), float(behind)
+
+        there, _ = changed(self.places_px + moved_on[:count])
+        if there == 0.0:
+            return 1.0
+        here, whole = changed(self.places_px)
         camera = max(whole - here, 0.0) * min(there / max(here, 1e-12), 1.0)
         return float(np.sqrt(1.0 + (there + camera) / medians(sd_px) ** 2))
 
