@@ -17,7 +17,7 @@ from twin.parts.body import Block, Solid
 from twin.parts.press import Stl
 from twin.parts.scene import Scene
 from twin.parts.shape import StlFile
-from twin.parts.vary import Choice
+from twin.parts.vary import Choice, flat
 from twin.study.batch.pool import versions
 from twin.study.dataset.plan import FORMAT, Places, Plan
 
@@ -140,6 +140,13 @@ def _resumed(plan: Plan, places: Places) -> Plan:
     where = f"{places.folder}: a dataset was begun here"
     if facts["content"] != fresh["content"]:
         what = "other columns" if facts["columns"] != fresh["columns"] else "another scene"
+        begun = places.meta / "scene.toml"
+        if what == "another scene" and begun.is_file():
+            old, new = (
+                flat(each.model_dump(mode="json"), lambda _: False)
+                for each in (load_scene(begun), scene)
+            )
+            what += f" ({_difference(old, new) or 'other files'})"
         raise InputError(f"{where} with {what}; give another --out, or the same command as before")
     for name in ("versions", "renderer"):
         if facts[name] != fresh[name]:
@@ -170,7 +177,8 @@ def _difference(old: Any, new: Any) -> str:
     if not isinstance(old, dict):
         return f"'{old}' then, '{new}' now"
     keys = [k for k in sorted({*old, *new}) if old.get(k) != new.get(k)]
-    return ", ".join(f"{k} {old.get(k)} then, {new.get(k)} now" for k in keys)
+    shown = [f"{k} {old.get(k)} then, {new.get(k)} now" for k in keys[:3]]
+    return ", ".join([*shown, f"and {len(keys) - 3} more"] if len(keys) > 3 else shown)
 
 
 def portable(scene: Scene) -> tuple[Scene, dict[str, Path]]:
