@@ -1,6 +1,6 @@
-"""What linear theory leaves out of presses on a curved body, of square pillars, of several probes
-and of one sphere, cylinder or pillar with friction on a block or a finger, on a mesh of the whole
-body.
+"""What linear theory leaves out of presses on a curved body, of square pillars, of several probes,
+of tilted ones and of triangles, and of one sphere, cylinder or pillar with friction on a block or a
+finger, on a mesh of the whole body.
 
 The mesh is the body's coarsest one, refined under the probes and at the rims of flat faces. The
 linear solution's Newton steps begin at the contact of `pressing`, the other one's at the linear
@@ -13,10 +13,14 @@ touches in a part first slides freely; then friction acts from where it touched
 A flat face's rim is rounded by a tenth of its half width at least, on which the difference hardly
 depends.
 
-Validity: rigid spheres, upright cylinders, pillars and cones, pressed along their ways without
-friction on a block, a finger or a dome, several of them by forces; one sphere with friction on a
-block or a finger, pressed by a force, moved sideways and turned about its way, and a cylinder or
-pillar while a part of it sticks; nu from 0.44.
+Triangles (STL probes, objects) are replaced by smooth splines around the contact: Newton's steps
+don't settle on normals that jump. Without friction a probe that motions turn is as one that was
+tilted.
+
+Validity: rigid probes, tilted or not, pressed along their ways without friction on a block, a
+finger or a dome, triangles where they are smooth, several by forces; one upright sphere with
+friction on a block or a finger, pressed by a force, moved sideways and turned about its way, and a
+cylinder or pillar while a part of it sticks; nu from 0.44.
 """
 
 from __future__ import annotations
@@ -34,7 +38,7 @@ from twin.errors import InputError, NotSettled
 from twin.parts.body import Block, Body, Dome, Finger
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
-from twin.parts.press import Cone, Cylinder, Pillar, Press, Probe, Sphere
+from twin.parts.press import Cone, Cylinder, Object, Pillar, Press, Probe, Sphere, Stl
 from twin.world.contact.contact_state import ContactState, Share
 from twin.world.contact.mixed_rubber import MixedRubber
 from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, TURN, Approach, Z, half_extent
@@ -108,6 +112,8 @@ class _Shares:
             return _ROUND
         if isinstance(probe, Cone):
             own = _SHARP if probe.tip_mm < _SHARP_TIP * radius_mm else _BLUNT
+        elif isinstance(probe, Stl | Object):
+            own = _SMOOTHED
         else:
             own = _ROUNDED if rounded else _FLAT
         if not stiffens:
@@ -119,16 +125,25 @@ class _Shares:
 
 _ROUND = _Shares(0.025, 0.08, 0.4, 0.04)
 _BLUNT = _Shares(0.11, 0.11, 0.7, 0.04)
+_SMOOTHED = _Shares(0.08, 0.09, 0.7, 0.12)
 _FLAT = _Shares(0.11, 0.11, 0.7, 0.08, 0.0026)
 _ROUNDED = _Shares(0.11, 0.11, 1.2, 0.08, 0.0026)
 _SHARP = _Shares(0.3, 0.3, 0.7, 0.04)
-"""Under spheres, under cones, under flat faces, under those that are solved with a rounder rim, and
-under cones with sharp tips (docs/validity.md): from mesh to mesh of one body the change scatters
-four times as much as the error."""
+"""Under spheres, under cones, under smooth triangles, under flat faces, under those that are solved
+with a rounder rim, and under cones with sharp tips (docs/validity.md): from mesh to mesh of one
+body the change scatters four times as much as the error."""
 
 _STIFF, _STIFF_SUNK = 2.0, 2.5
 """How many times larger these are on rubber that stiffens, where the tips of cones strain it most,
 and those of the indentation under cones and flat faces."""
+
+_CELLS, _COARSE_CELLS, _SEEN, _HIGH, _OFF = (16, 32), (16,), 1.8, 1.0, 0.02
+"""Cells of the splines that stand for a probe's triangles along a side, and those of the coarser
+mesh; half of the side over the contact's radius; how high above its lowest point, over the
+indentation, the surface has to be smooth; and how far it may lie off, over that."""
+
+_LONG = 1.4
+"""A contact whose patches lie farther from its middle, over its radius, is a long one."""
 
 _CLOSE = 0.3
 """Points closer to the contact, over its radius, have the error of those."""
@@ -183,12 +198,29 @@ class BodyStrain(FiniteStrain):
     ) -> None:
         presses = (press.model_copy(update={"also": ()}), *press.also)
         sharp = [Approach.of_press(one, body) for one in presses]
-        approaches = [_rounded(one, _LEAST_RIM) for one in sharp]
-        self._rounder = [_rounded(one, _COARSE_RIM) for one in sharp]
-        axes = tuple(approach.axes for approach in approaches)
+        axes = tuple(approach.axes for approach in sharp)
         _refuse(material, _unsolved(press, body, material) or _unsolved_state(press, state, path))
         if coarse:
             _refuse(material, _too_slow(press, body))
+        if not press.friction:
+            turns = [
+                own @ np.radians(at.turns_deg) for own, at in zip(axes, _probes(state), strict=True)
+            ]
+            sharp = [one.held_turned(turn) for one, turn in zip(sharp, turns, strict=True)]
+        touched = list(zip(sharp, _probes(state), strict=True))
+        smooth = [_smooth(_rounded(one, _LEAST_RIM), at, _CELLS) for one, at in touched]
+        approaches = [one for one, _ in smooth]
+        off = max(share for _, share in smooth)
+        if off > _OFF:
+            part = f"{100 * off:.2g} % of the indentation" if math.isfinite(off) else "its border"
+            _refuse(
+                material,
+                f"press.probe: edges, steps or borders lie under the contact ({part} off a smooth "
+                "surface); smooth ones are solved",
+            )
+        self._rounder = [
+            _smooth(_rounded(one, _COARSE_RIM), at, _COARSE_CELLS)[0] for one, at in touched
+        ]
         self._body = body
         self._material = material
         self._path = tuple(path) or (state,)
@@ -310,7 +342,7 @@ class BodyStrain(FiniteStrain):
                     away = np.linalg.norm(points - centre, axis=1) - size
                     here = fineness.edge * size + _GROWTH * np.maximum(away, 0.0)
                     edges = np.minimum(edges, here)
-                    if approach.is_flat:
+                    if approach.has_face:
                         away = np.maximum(_from_rim(points, approach), 0.0)
                         edges = np.minimum(edges, fineness.rim * size + _GROWTH * away)
             return edges
@@ -370,8 +402,9 @@ class BodyStrain(FiniteStrain):
             held = np.array(forces)
             forced = np.array(values) / self._material.youngs_modulus_mpa
             pose = np.concatenate([axes @ there.move_mm, axes @ np.radians(there.turns_deg)])
-            if not self._rubs:  # under the same force, whatever holds the probe
+            if not self._rubs:  # under the same force, whatever holds the probe; turned as tilted
                 held[Z] = True
+                pose[ABOUT_X:] = 0.0
                 forced[Z] = axes[Z] @ there.force_n / self._material.youngs_modulus_mpa
             by_force.append(held)
             given.append(np.where(held, forced, pose))
@@ -497,10 +530,24 @@ def _rounded(approach: Approach, share: float) -> Approach:
     return approach if probe.edge_mm >= _LEAST_RIM * half else approach.with_edge(share * half)
 
 
+def _smooth(
+    approach: Approach, state: ContactState, cells: Sequence[int]
+) -> tuple[Approach, float]:
+    """Return a probe whose triangles are smooth around its contact, by the first of these numbers
+    of cells that is close to them or the last, and how far it is off, over the indentation."""
+    middle, size = _place(state)
+    at = approach.axes @ (middle - approach.axis_mm - state.move_mm)
+    deep = state.indentation_mm
+    for count in cells:
+        smooth, off_mm = approach.smoothed(at[:Z], _SEEN * size, _HIGH * deep, count)
+        if off_mm < _OFF * deep:
+            break
+    return smooth, off_mm / deep
+
+
 def _from_rim(points: Points, approach: Approach) -> Floats:
     """Return (n,) how far points are from the rim of a flat face at first touch, mm."""
-    height = (points - approach.axis_mm) @ approach.axes[Z]
-    return np.asarray(np.hypot(approach.beyond_face(points), height))
+    return np.asarray(np.hypot(approach.beyond_face(points), approach.own(points)[:, Z]))
 
 
 def _probes(state: ContactState) -> tuple[ContactState, ...]:
@@ -547,15 +594,13 @@ def _unsolved(press: Press, body: Body, material: Material) -> str:
         controls = one.in_own_axes(Approach.of_press(one, body).axes)
         held = np.array([by_force for by_force, _ in controls])
         turned = np.abs(np.where(held, 0.0, [given for _, given in controls])).max(axis=0)
-        if not isinstance(one.probe, Sphere | Cylinder | Pillar | Cone):
-            kind = one.probe.kind
-            return f"press.probe.kind = {kind}: spheres, cylinders, pillars, cones are solved"
-        if any(one.tilt_deg) and not isinstance(one.probe, Sphere):
-            return "press.tilt_deg: upright probes are solved"
         if one.friction > 0.0:
+            if any(one.tilt_deg) and not isinstance(one.probe, Sphere):
+                return "press.tilt_deg with friction: upright probes are solved"
             if press.also:
                 return "press.also: several probes are solved without friction"
-            if isinstance(one.probe, Cone) or not isinstance(body, Block | Finger):
+            rubs = isinstance(one.probe, Sphere | Cylinder | Pillar)
+            if not rubs or not isinstance(body, Block | Finger):
                 return (
                     f"press.friction = {one.friction:g} under a {one.probe.kind} on a "
                     f"{body.geometry()['shape']}: friction is solved under spheres, cylinders and "
@@ -568,8 +613,6 @@ def _unsolved(press: Press, body: Body, material: Material) -> str:
                     "press.steps turn the probe about x or y: one with friction that doesn't roll, "
                     "but slides or turns about its way, is solved"
                 )
-        elif turned[ABOUT_X:].any():
-            return "press.steps turn the probe: one without friction that doesn't turn is solved"
         elif held[:, np.arange(MOTIONS) != Z].any():
             what = "press.steps give forces or torques"
             if one.force_n is not None:
@@ -593,6 +636,12 @@ def _unsolved_state(press: Press, state: ContactState, path: Sequence[ContactSta
         return "press.steps: a flat face with friction is solved while a fifth of it sticks"
     if not all(len(one.pressure_mpa) for one in _probes(state)):
         return "press: several probes are solved where all touch"
+    for probe, one in zip((press, *press.also), _probes(state), strict=True):
+        middle, size = _place(one)
+        assert one.patches is not None
+        far = np.linalg.norm(one.patches.centre_mm - middle, axis=1).max()
+        if isinstance(probe.probe, Stl | Object) and far > _LONG * size:
+            return "press.probe: its contact is long or hollow; round ones are solved"
     return ""
 
 

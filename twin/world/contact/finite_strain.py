@@ -194,8 +194,12 @@ def _held_by_motion(
         if abs(aside) < found.more.held_within:
             return replace(found, stiffening=stiffening)
         force = found.force_n * math.exp(stiffening * aside)
-        step = Step(force_n=(None, None, force), move_mm=(float(x), float(y), None))
-        place = {"at_mm": press.at_mm, "direction": press.direction}
+        step = Step(
+            force_n=(None, None, force),
+            move_mm=(float(x), float(y), None),
+            turn_deg=tuple(found.approach.axes @ held.turns_deg) if held.turns_deg.any() else None,
+        )
+        place = {"at_mm": press.at_mm, "direction": press.direction, "tilt_deg": press.tilt_deg}
         one = Press(probe=press.probe, axes="probe", steps=(step,), **place)
         linear = solve(one).path[-1]
         more = _strain_of(one, body, material, linear, watched, like=found.more)

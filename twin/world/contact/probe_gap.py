@@ -24,7 +24,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -252,6 +252,61 @@ def _tree_of(shape: _Triangles) -> TriangleTree:
 
 
 @dataclass(frozen=True, eq=False)
+class _Smooth:
+    """The heights z of a surface over a square of its own x and y, as cubic splines."""
+
+    heights: Any
+    off_mm: float  # largest distance of a sample
+
+    @classmethod
+    def of(cls, shape: Shape, low: Floats, high: Floats, cells: int, deep_mm: float) -> _Smooth:
+        """Fit the heights of a shape between two corners (2,), mm, by least squares with so many
+        cells along a side; where the shape isn't met they go on as they like. Samples higher than
+        ``deep_mm`` don't count in the distance, which is infinite where others aren't met."""
+        from scipy.interpolate import NdBSpline, make_lsq_spline
+
+        lines = np.linspace(low, high, _SAMPLES * cells + 1).T
+        knots = [
+            np.concatenate([[a] * 3, np.linspace(a, b, cells + 1), [b] * 3])
+            for a, b in zip(low, high, strict=True)
+        ]
+        flat = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+        points = np.column_stack([flat, np.zeros(len(flat))])
+        known = -shape.met(points, np.broadcast_to([0.0, 0.0, 1.0], points.shape))[0]
+        met = np.isfinite(known)
+        wanted = np.where(met, known, known[met].min(initial=0.0))
+        for _ in range(1 if met.all() else _FILLINGS):
+            half = make_lsq_spline(lines[0], wanted.reshape(len(lines[0]), -1), knots[0]).c
+            whole = make_lsq_spline(lines[1], half.T, knots[1]).c.T
+            heights = NdBSpline(tuple(knots), whole, 3)
+            fitted = heights(flat)
+            wanted = np.where(met, known, fitted)
+        close = fitted > -deep_mm
+        off = np.where(met, np.abs(known - fitted), np.inf)[close]
+        return cls(heights, float(off.max(initial=0.0)))
+
+    def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
+        """See `Shape`."""
+        knots = self.heights.t
+        low, high = np.array([[line[0], line[-1]] for line in knots]).T
+        way = np.zeros(len(points))
+        for _ in range(_SMOOTH_STEPS):
+            here = points - way[:, None] * along
+            inside = np.all((here[:, :2] >= low) & (here[:, :2] <= high), axis=1)
+            flat = np.clip(here[:, :2], low, high)
+            slope = [self.heights(flat, nu=nu) for nu in ((1, 0), (0, 1))]
+            normal = np.column_stack([-slope[0], -slope[1], np.ones(len(flat))])
+            steep = np.einsum("ki,ki->k", normal, along)
+            step = (here[:, 2] - self.heights(flat)) / np.maximum(steep, GRAZING)
+            way += step
+            if np.abs(step[inside]).max(initial=0.0) < _SMOOTH_MM:
+                break
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        met = inside & (steep > GRAZING) & (np.abs(step) < _SMOOTH_MM)
+        return np.where(met, way, np.inf), np.where(met[:, None], normal, along)
+
+
+@dataclass(frozen=True, eq=False)
 class _Tilted:
     """A shape turned about its origin; ``rotation`` (3, 3) takes its own axes to the outer ones."""
 
@@ -262,6 +317,10 @@ class _Tilted:
         distance, normal = self.shape.met(points @ self.rotation, along @ self.rotation)
         return distance, normal @ self.rotation.T
 
+
+_SAMPLES, _FILLINGS, _SMOOTH_STEPS, _SMOOTH_MM = 4, 8, 12, 1e-9
+"""Samples of a height in a cell of splines along an axis, how often places without one are filled,
+and Newton's steps to where a line meets the splines, which is known so well."""
 
 FLAT_TILT_DEG = 20.0
 """A flat face that is tilted less touches with its face, one that is tilted more with its rim."""
@@ -385,11 +444,34 @@ class Approach:
     axes: Floats
     tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     level: bool = False
+    smooth: Shape | None = None
 
     @cached_property
     def shape(self) -> Shape:
         """The probe's surface."""
-        return _shape_of(self.probe, self.tilt_deg, RIM)
+        return self.smooth or _shape_of(self.probe, self.tilt_deg, RIM)
+
+    def held_turned(self, turn: Floats) -> Approach:
+        """Return the probe as one that was tilted by a turn (3,), a rotation vector about its own
+        axes, before it came: without friction it is the same at equal places."""
+        from scipy.spatial.transform import Rotation
+
+        if not turn.any():
+            return self
+        whole = Rotation.from_matrix(Approach.rotation_of(turn) @ self.tilt)
+        x, y, z = whole.as_euler("xyz", degrees=True).tolist()
+        return replace(self, tilt_deg=(x, y, z))
+
+    def smoothed(
+        self, middle: Floats, half_mm: float, deep_mm: float, cells: int
+    ) -> tuple[Approach, float]:
+        """Return a probe whose triangles are smooth around a place (2,) of its own x and y, mm, as
+        `_Smooth` of so many cells, and how far these lie off the triangles where the probe is
+        ``deep_mm`` high at most, infinite where it ends there; another probe as it is."""
+        if not isinstance(self.shape, _Triangles):
+            return self, 0.0
+        smooth = _Smooth.of(self.shape, middle - half_mm, middle + half_mm, cells, deep_mm)
+        return replace(self, smooth=smooth), smooth.off_mm
 
     def check_depth(self, press: Press, body: Body) -> None:
         """Raise `InputError` if a press's motions lead it deeper than a probe may sink in."""
@@ -412,10 +494,25 @@ class Approach:
         """Whether the probe touches with a flat face, so that its footprint bounds the contact."""
         return _is_flat(self.probe, self.tilt_deg)
 
+    @cached_property
+    def is_round(self) -> bool:
+        """Whether the probe touches with a round tip."""
+        upright = not any(self.tilt_deg[:Z])
+        return isinstance(self.probe, Sphere) or (isinstance(self.probe, Cone) and upright)
+
+    @cached_property
+    def has_face(self) -> bool:
+        """Whether the probe ends in a flat face, however it is tilted."""
+        return isinstance(self.probe, Cylinder | Pillar)
+
+    def own(self, points: Points) -> Points:
+        """Return points (n, 3) in the own axes of the tilted probe at first touch."""
+        return np.asarray((points - self.axis_mm) @ self.axes.T @ self.tilt)
+
     def beyond_face(self, points: Points) -> Floats:
-        """Return (n,) how far points lie outside the outline of an upright flat face, seen along
-        the approach, mm; inside it, minus the distance."""
-        own = np.abs((points - self.axis_mm) @ self.axes[:Z].T)
+        """Return (n,) how far points lie outside the outline of a flat face at first touch, seen
+        along its normal, mm; inside it, minus the distance."""
+        own = np.abs(self.own(points)[:, :Z])
         half = np.array(half_extent(self.probe))
         if isinstance(self.probe, Cylinder):
             return np.asarray(np.hypot(*own.T) - half[0])

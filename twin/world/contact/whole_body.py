@@ -284,7 +284,7 @@ class SurfaceTouch:
         used = np.zeros(len(faces), bool)
         for centre, reach_mm in near:
             used |= np.linalg.norm(points - centre, axis=2).min(axis=1) <= reach_mm
-        if approach.is_flat:
+        if approach.has_face:
             aside = approach.beyond_face(points.reshape(-1, 3)).reshape(points.shape[:2])
             used &= aside.min(axis=1) <= _BESIDE_FACE * min(half_extent(approach.probe))
         along = np.einsum("qaj,fai->fqji", slopes, corner[used])
@@ -414,7 +414,7 @@ class SurfaceTouch:
         place = self.rest_mm if displacement is None else self.rest_mm + self._shift(displacement)
         force = pressure * self.area_mm2 / (pressure @ self.area_mm2)
         squared = ((place - force @ place) ** 2).sum(axis=1)
-        if self._approach.is_flat:
+        if not self._approach.is_round:
             return float(np.sqrt(force @ squared))
         order = np.argsort(squared)
         beyond = 1.0 - np.cumsum(force[order]) + force[order] / 2.0
