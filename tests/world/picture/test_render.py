@@ -14,6 +14,7 @@ from small_scenes import SPLAT, beads, block, changed, finger, measured, mitsuba
 from twin.errors import RecipeError
 from twin.parts.markers import MarkerSet
 from twin.parts.scene import Scene
+from twin.theory.optics import rays
 from twin.world.picture.camera_rays import View
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import Lamps
@@ -268,6 +269,28 @@ def test_outlines_are_what_traced_markers_cover(scene):
     assert_allclose(centroids, outlines.centroid_px, atol=0.004)
 
 
+@pytest.mark.parametrize("make", [block, finger])
+def test_outlines_are_what_exact_rays_meet(make):
+    """Outlines come in closed form; here every ray is bent by Snell's law and meets the nearest ellipsoid or none."""
+    scene = make()
+    markers = rest_of(scene).rows(slice(0, 4))
+    outlines = Renderer(scene, rest_of(scene), SPLAT, subpixels=4).outlines(markers)
+    assert (outlines.visible > 0.999).all()
+    unit = np.linalg.inv(markers.axes)
+    steps = np.arange(-14, 14, 0.05) + 0.025
+    window = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    for number, place in enumerate(np.rint(outlines.centroid_px)):
+        origins, along = rays(place + window, *scene.optics)
+        start = np.einsum("nij,kj->kni", unit, origins) - np.einsum("nij,nj->ni", unit, markers.centres)
+        way = np.einsum("nij,kj->kni", unit, along)
+        square, middle = (way**2).sum(axis=2), (way * start).sum(axis=2)
+        left = middle**2 - square * ((start**2).sum(axis=2) - 1)
+        far = np.where(left > 0, (-middle - np.sqrt(np.maximum(left, 0))) / square, np.inf)
+        met = (far.argmin(axis=1) == number) & np.isfinite(far.min(axis=1))
+        assert met.sum() * 0.05**2 == pytest.approx(outlines.area_px[number], rel=1e-3)
+        assert_allclose((place + window[met]).mean(axis=0), outlines.centroid_px[number], atol=0.004)
+
+
 def test_finer_grids_converge():
     scene = block()
     markers = rest_of(scene)
@@ -295,6 +318,18 @@ def test_threads_do_not_change_a_byte(name, monkeypatch):
     for light, centroids in found[1:]:
         assert_array_equal(light, found[0][0])
         assert_array_equal(centroids, found[0][1])
+
+
+@pytest.mark.slow
+def test_mitsuba_takes_no_more_threads_than_are_given(scene, monkeypatch):
+    import drjit
+
+    before = drjit.thread_count()
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 1)
+    drjit.set_thread_count(2)
+    Renderer(scene, rest_of(scene), mitsuba(), subpixels=1).radiance(rest_of(scene))
+    assert drjit.thread_count() == 1
+    drjit.set_thread_count(before)
 
 
 @pytest.mark.slow

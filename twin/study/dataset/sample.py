@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from twin.parts.press import Press
     from twin.world.contact.contact_state import ContactState
     from twin.world.elasticity.compliance import Compliance
-    from twin.world.picture.render import Renderer
     from twin.world.picture.splat import Outlines
 
 _Row = dict[str, Any]
@@ -100,11 +99,10 @@ class _MadeSensor:
         if scene.camera is not None and "motion" in needs:
             row["marker_rest_px"] = sensor.project(markers.points)
         if "outlines" in needs:
-            outlines = self.renderer.outlines(sensor.ellipsoids(None))
+            outlines = sensor.renderer.outlines(sensor.ellipsoids(None))
             row["marker_outline_rest_px"] = outlines.centroid_px
             row["marker_visible"] = outlines.visible
         if "picture" in needs:
-            _ = self.renderer
             for group, picture in enumerate(sensor.rest_pictures):
                 row[f"picture_{group}" if group else "picture"] = png_bytes(picture)
             camera, _ = scene.imaging
@@ -139,15 +137,6 @@ class _MadeSensor:
         if scene.dataset.sites is not None:
             return scene.dataset.sites
         return scene.inverse.sites
-
-    @cached_property
-    def renderer(self) -> Renderer:
-        """The camera's view, traced by one thread."""
-        from twin.world.picture.mitsuba_tracer import MitsubaTracer
-
-        renderer = self.sensor.renderer
-        MitsubaTracer.use_one_thread()
-        return renderer
 
 
 def _sensor_seed(root: int, number: int) -> int:
@@ -273,7 +262,6 @@ def _seen(
     made: _MadeSensor, motion: Motion, exposure: int, moving: Callable[[int, int], Picture] | None
 ) -> _Row:
     sensor = made.sensor
-    renderer = made.renderer
     needs = made.plan.needs
     row: _Row = {}
     outlines: Outlines | None = None
@@ -287,7 +275,7 @@ def _seen(
             picture = sensor.picture(motion, exposure, step)
         row |= {"lit": step % len(sensor.renderers), "picture": png_bytes(picture)}
     if "outlines" in needs:
-        outlines = outlines or renderer.outlines(sensor.ellipsoids(motion))
+        outlines = outlines or sensor.renderer.outlines(sensor.ellipsoids(motion))
         row["marker_outline_pressed_px"] = outlines.centroid_px
         row["marker_visible"] = outlines.visible
     return row
@@ -497,8 +485,8 @@ def _differences(made: _MadeSensor, values: Table) -> dict[str, float]:
         out["estimate"] = float(usual["displacement_error"])
     if "outlines" in plan.needs:
         shapes = made.sensor.ellipsoids(made.sensor.quick_motion(load))
-        one = made.renderer.outlines(shapes)
-        other = made.renderer.outlines(shapes, _FINEST)
+        one = made.sensor.renderer.outlines(shapes)
+        other = made.sensor.renderer.outlines(shapes, _FINEST)
         seen = (one.visible > _WHOLE) & (other.visible > _WHOLE)
         if seen.any():
             out["outline_px"] = float(np.abs(one.centroid_px - other.centroid_px)[seen].max())

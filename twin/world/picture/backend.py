@@ -23,6 +23,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from twin.errors import InputError, MissingCapability
 from twin.files import cache_folder, kept_if_possible, write_whole
@@ -171,6 +172,20 @@ class Variant:
             library=None,
             reason=f"pictures are made without Mitsuba, as {why}: {REMEDY}",
         )
+
+    @staticmethod
+    def mitsuba(name: str) -> Any:
+        """Return Mitsuba, switched to a variant (others may have turned it), on no more threads
+        than this process gives to numba: one in workers."""
+        import drjit
+        import mitsuba
+        from numba import config
+
+        if mitsuba.variant() != name:
+            mitsuba.set_variant(name)
+        if drjit.thread_count() > config.NUMBA_NUM_THREADS:
+            drjit.set_thread_count(config.NUMBA_NUM_THREADS)
+        return mitsuba
 
     @staticmethod
     def check_machine(scene: Scene, at_once: int = 1) -> None:

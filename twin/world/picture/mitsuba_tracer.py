@@ -22,7 +22,6 @@ print in the finger.
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -31,6 +30,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twin.arrays import Floats, Singles
+from twin.world.picture.backend import Variant
 from twin.world.picture.camera_rays import View
 from twin.world.picture.picture_job import INTO, OPAQUE, PictureJob
 
@@ -52,16 +52,9 @@ class MitsubaTracer:
     """Renders jobs of one view with Mitsuba in a variant of its own, camera and shadow rays at
     once."""
 
-    @staticmethod
-    def use_one_thread() -> None:
-        """Trace in one thread from here on: many processes that render at once are faster so."""
-        if (drjit := sys.modules.get("drjit")) is not None:
-            drjit.set_thread_count(1)
-
     def __init__(self, variant: str, view: View, unit_mm: float, ambient: float) -> None:
         self._variant = variant
-        self._mi: Any = importlib.import_module("mitsuba")
-        self._switch()
+        self._mi = Variant.mitsuba(variant)
         self._dr: Any = importlib.import_module("drjit")
         self._shape = _Shape(self._mi)
         self._width = view.sees.shape[1]
@@ -69,17 +62,12 @@ class MitsubaTracer:
         self._corners = self._mi.Float(_aligned(corners.astype(np.float32).ravel()))
         self._ambient = ambient
 
-    def _switch(self) -> None:
-        """Switch Mitsuba to our variant: the switch is global, and others may have turned it."""
-        if self._mi.variant() != self._variant:
-            self._mi.set_variant(self._variant)
-
     def shade(self, job: PictureJob) -> tuple[Singles, Singles]:
         """See `twin.world.picture.render.RENDERERS`."""
         if not len(job.pixels):
             return np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
         # Upload the scene: markers a little larger than they are, which all rays look for.
-        self._switch()
+        Variant.mitsuba(self._variant)
         mi, dr = self._mi, self._dr
         k = job.subpixels
         pixel, begin, table = self._inputs(job)

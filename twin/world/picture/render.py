@@ -11,7 +11,6 @@ the pupil (`twin.world.picture.camera_rays`); outlines are those through its mid
 
 from __future__ import annotations
 
-import importlib
 import os
 import warnings
 from collections.abc import Callable
@@ -369,7 +368,7 @@ class _PathRenderer(Renderer):
 
     @cached_property
     def _path_tracer(self) -> PathTracer:
-        importlib.import_module("mitsuba").set_variant(self.variant.name)
+        Variant.mitsuba(self.variant.name)
         from twin.world.picture.path_tracer import PathTracer
 
         views = [part._view for _, part in self._parts] or [self._view]
