@@ -303,8 +303,10 @@ def test_bands_of_a_light_that_flickers_move_no_marker(share, period_px):
         bands = 1.0 + share * np.sin(2 * np.pi * np.arange(len(image)) / period_px + phase)
         return expose(bands[:, None, None] * image, seed)
 
-    tracker = Tracker(lit(card.draw(), 0.0, 1), card.layout)
+    rest = lit(card.draw(), 0.0, 1)
+    tracker = Tracker(rest, card.layout)
     assert (tracker.rest.flaws.ground is None) == (share == 0.0)
+    assert (tracker.track(rest).shift_px == 0.0).all()
     for seed in range(2, 5):
         shift = 3.0 * np.sin(card.marks[:, ::-1] / [80.0, 90.0] + seed)
         found = tracker.track(lit(card.draw(shift), 1.7 * seed, seed))

@@ -18,7 +18,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, medians
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, medians
 from twin.compiled import njit
 from twin.errors import InputError
 
@@ -60,13 +60,16 @@ class Flaws:
     bad
         Row, column and channel of the pixels that are hot or dead.
     ground
-        (h, q) brightness of the ground at rest, of some columns, less the bands of a light that
-        flickers while a camera reads its rows one after the other; None without bands.
+        (h, q) brightness of the ground at rest, of some columns; None without bands.
+    bands
+        (h, 1) light of the rest picture's rows, over that without the bands of a light that
+        flickers while a camera reads them one after the other.
     """
 
     blocks: tuple[int, int] | None
     bad: tuple[Ints, Ints, Ints]
-    ground: Singles | None = None
+    ground: Floats | None = None
+    bands: Floats | float = 1.0
 
     @classmethod
     def of(cls, picture: Picture) -> Flaws:
@@ -107,7 +110,7 @@ class Flaws:
         if bands.std() < BANDED or not alike > ALIKE:
             return self, picture
         by = np.interp(np.arange(len(picture)), rows, bands)[:, None]
-        return replace(self, ground=(ground / by).astype(np.float32)), _dimmed(picture, by)
+        return replace(self, ground=ground, bands=by), _dimmed(picture, by)
 
     def without_bands(
         self, picture: Picture, marks_px: Pixels, clear_px: float, margin_px: float
@@ -116,11 +119,12 @@ class Flaws:
         `seen_without_bands`."""
         assert self.ground is not None
         now = _bare_ground(picture, marks_px, clear_px, margin_px)
-        bands = _by_row(now / self.ground)
-        rows = np.flatnonzero(np.isfinite(bands))
+        change = _by_row(now / self.ground)
+        rows = np.flatnonzero(np.isfinite(change))
         if not len(rows):
             return picture
-        return _dimmed(picture, np.interp(np.arange(len(bands)), rows, bands[rows])[:, None])
+        since = np.interp(np.arange(len(change)), rows, change[rows])[:, None]
+        return _dimmed(picture, since * self.bands)
 
     @staticmethod
     def repeats_blocks(before: Picture, picture: Picture) -> bool:
