@@ -88,13 +88,16 @@ def test_shipped_presses_meet_what_their_scenes_ask(name):
 
 
 class Rung:
-    """A level whose estimated error is given."""
+    """A level whose estimated error is given, and how far the surface moves under a load."""
 
-    def __init__(self, level, error):
-        self.level, self._error = level, error
+    def __init__(self, level, error, under=0.0):
+        self.level, self._error, self._under = level, error, under
 
     def answer(self, points, load):
         return np.full((1, 3), WORLD.index(self.level), float), self._error
+
+    def displacement(self, points, load):
+        return np.full((1, 3), self._under)
 
 
 ERRORS = {"coarse": 8e-3, "standard": 2e-3, "fine": 5e-4}
@@ -123,6 +126,14 @@ def test_an_accuracy_takes_the_cheapest_level_that_meets_it(monkeypatch, asked, 
     answer = ladder.displacement(POINTS, wide)
     assert (answer.compliance.level, answer.error) == (level, errors[level])
     assert answer.displacement_mm[0, 0] == WORLD.index(level)
+
+
+@pytest.mark.parametrize(("under", "remedy"), [(5.0, "move the load away"), (50.0, "at most 0.02.*add points nearer")])
+def test_points_that_hardly_move_are_named_as_the_cause_of_their_error(monkeypatch, under, remedy):
+    monkeypatch.setattr("twin.world.elasticity.coated.Compliance", lambda *_, level, **__: Rung(level, 0.4, under))
+    sensor = Sensor(load_scene("finger_bare"))
+    with pytest.warns(AccuracyWarning, match=rf"displacements 0\.4 of the largest; .*{remedy}"):
+        sensor.displacement(POINTS, Traction.rectangle((0, 0), (4, 4), (0, 0, 1)))
 
 
 def test_a_saturated_picture_warns_once_and_the_runs_facts_say_so():

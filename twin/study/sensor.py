@@ -53,6 +53,10 @@ TRACTION = 0.7
 """The same of tractions, over their root mean square: under sharp edges, where they grow without
 bound, shipped scenes state up to 0.73, under spheres 0.04."""
 
+FAINT = 0.1
+"""Largest displacement of points, over that of the surface under the load, below which their errors
+are large because they move little: far from the load, or next to a held face."""
+
 AGAIN = 2.0
 """How much larger than in the last warning an error is that is warned of once more."""
 
@@ -327,10 +331,9 @@ class Sensor:
         """
         points = _as_points(points_mm)
         load = _load_of(load)
-        found = self.ladder.displacement(points, self.rectangles(load.moving))
-        self._warn_if_inaccurate(found.error)
+        moved, _, _ = self._displaced(points, self.rectangles(load.moving))
         more = self._strained(load)
-        return found.displacement_mm + (more.displacement(points) if more is not None else 0.0)
+        return moved + (more.displacement(points) if more is not None else 0.0)
 
     def _strained(self, load: Load) -> Load.Strained | None:
         """Return what to add to the linear answer, None by linear theory; refuse loads but one
@@ -367,13 +370,11 @@ class Sensor:
         """Return the motion of the actual markers under a load."""
         rectangles = self.rectangles(load.moving)
         points = self.actual.markers.points
-        found = self.ladder.displacement(points, rectangles)
-        self._warn_if_inaccurate(found.error)
-        compliance = found.compliance
+        moved, error, compliance = self._displaced(points, rectangles)
         passive = Motion(
-            displacement_mm=found.displacement_mm,
+            displacement_mm=moved,
             gradient=compliance.gradient(points, rectangles),
-            error=found.error,
+            error=error,
             cover=self._scenery(load, compliance, rectangles),
         )
         return self._completed(passive, load, lambda p: compliance.displacement(p, rectangles))
@@ -468,10 +469,24 @@ class Sensor:
         layers = self.actual.scene.markers.values()
         return any(each.kind == "print" or each.stiff or each.texture for each in layers)
 
-    def _warn_if_inaccurate(self, got: float) -> None:
-        """Warn of a load under which displacements are less accurate than requested."""
-        if got > ABOVE * self.nominal.displacement_error:
-            self._warn({"displacements": got}, f"{_AWAY}, or allow more")
+    def _displaced(
+        self, points: Points, rectangles: Rectangles
+    ) -> tuple[Points, float, Compliance | CoveredCompliance]:
+        """Return the displacement of ``points`` (n, 3), mm, its error and the compliance that it is
+        from, and warn where it is less accurate than requested."""
+        found = self.ladder.displacement(points, rectangles)
+        if found.error > ABOVE * self.nominal.displacement_error:
+            most = np.argmax(np.linalg.norm(rectangles.force_n, axis=1))
+            under = found.compliance.displacement(rectangles.centre_mm[most][None], rectangles)
+            share = np.linalg.norm(found.displacement_mm, axis=1).max() / np.linalg.norm(under)
+            remedy = _AWAY
+            if share < FAINT:
+                remedy = (
+                    f"these points move at most {share:.1g} of what the surface under the load "
+                    "does: add points nearer to it"
+                )
+            self._warn({"displacements": found.error}, f"{remedy}, or allow more")
+        return found.displacement_mm, found.error, found.compliance
 
     def _warn(self, errors: dict[str, float], remedy: str) -> None:
         """Warn of errors, once per sensor and quantity, and again where one is much larger."""

@@ -5,8 +5,9 @@
 is too large, and returns the result with the least error.
 
 **Places.** What a load leaves out of balance on a free face is as wide as their distance, and on a
-curved surface as the load itself. Where a level's elements are longer than that, its mesh is
-refined there (`LOCAL`): cheaper than a finer mesh of the whole body, and more exact.
+curved surface as the load itself. Where a level's elements are longer than that, and what they miss
+is much of the error, its mesh is refined there (`LOCAL`): cheaper than a finer mesh of the whole
+body, and more exact.
 
 **Cover.** Every region of a covered body that is pressed has a mesh of its own
 (`twin.world.mesh.cover_mesh`): the half-space of the cover is right above the interface only, and
@@ -24,7 +25,6 @@ solve for every patch: minutes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -86,6 +86,10 @@ SHORTEST = 0.04
 
 PLACES = 4
 """Places for which refined meshes are kept."""
+
+LOCALLY = 0.25
+"""Share of a level's error, by what its elements miss beside a load, from which on it is refined
+there: far from the load, and next to held faces, a finer level does more for less."""
 
 HOPE = 0.25
 """Least error of a level, over the expected one: wide loads have less."""
@@ -328,33 +332,30 @@ class Ladder:
     def displacement(self, points: Points, load: Rectangles) -> _DisplacementResult:
         """Return the (n, 3) displacement of ``points`` under ``load``, from as fine a level as it
         takes; exactly 0 on held faces. Arguments and errors as in `Compliance.displacement`."""
-        best: _DisplacementResult | None = None
         free = ~self._body.holds(points)
-        for rung in self._levels(load):
-            moved = np.zeros((len(points), 3))
-            moved[free], error = rung.answer(points if free.all() else points[free], load)
-            if best is None or error < best.error:
-                best = _DisplacementResult(displacement_mm=moved, error=error, compliance=rung)
-            if best.error <= self._asked:
-                break
-        assert best is not None
-        return best
+        inside = points if free.all() else points[free]
 
-    def _levels(self, load: Rectangles) -> Iterator[Compliance | CoveredCompliance]:
-        """Yield ever finer levels, each as it is and then refined for the load; as it is only where
-        no refinement is of use, or where the load is far from edges."""
+        def solved(rung: Compliance | CoveredCompliance) -> _DisplacementResult:
+            moved = np.zeros((len(points), 3))
+            moved[free], error = rung.answer(inside, load)
+            return _DisplacementResult(displacement_mm=moved, error=error, compliance=rung)
+
         if self._covered:
-            yield self._covered
-            return
+            return solved(self._covered)
+        found: list[_DisplacementResult] = []
         for level in WORLD[1:]:
             law = EXPECTED[self._body.is_flat, level]
             if HOPE * law.inside > self._asked and level != WORLD[-1]:
                 continue
-            centres, widths = self._steep(level, load)
-            if len(centres) == 0 or not self._body.is_flat:
-                yield self._at(level)
-            if len(centres):
-                yield self._refined(level, centres, widths)
+            bare = self._at(level)
+            found.append(solved(bare))
+            if found[-1].error > self._asked:
+                centres, widths = self._steep(level, load)
+                if len(centres) and bare.missed(inside, load) > LOCALLY * found[-1].error:
+                    found.append(solved(self._refined(level, centres, widths)))
+            if found[-1].error <= self._asked:
+                break
+        return min(found, key=lambda one: one.error)
 
     def _steep(self, level: Level, load: Rectangles) -> tuple[Points, Floats]:
         """Return the places (k, 3) of rectangles that leave more out of balance beside them than

@@ -67,6 +67,11 @@ FEW = 3
 """Points are read by adjoint solves where patches are more than this many times as many."""
 
 
+WEAKER = 0.5
+"""Displacement of a point, over that of a half-space, below which what elements miss beside a load
+is as much weaker there: a held face lies near, or the load is far away on a thin body."""
+
+
 class Compliance:
     """The elastic response of one body.
 
@@ -428,9 +433,27 @@ class Compliance:
         if smooth is not None:
             parts.append(rough * smooth)
         if table is None and not direct:
-            missed = missed_by_mesh(self.body, known.points, load, self._locator.edges)
-            parts.append(missed / self._modulus)
+            parts.append(self._missed(known, load, moved))
         return moved, parts
+
+    def _missed(self, known: PointCache, load: Rectangles, moved: Points) -> Points:
+        """Return `missed_by_mesh` (n, 3), mm, less where the body moves less than `WEAKER` of what
+        a half-space does."""
+        missed = missed_by_mesh(self.body, known.points, load, self._locator.edges) / self._modulus
+        if not missed.any():
+            return missed
+        free = np.linalg.norm(halfspace.displacement(known.points, load, *self._rubber), axis=1)
+        share = np.linalg.norm(moved, axis=1) / np.maximum(free, 1e-300)
+        return np.asarray(missed * np.minimum(share / WEAKER, 1.0)[:, None])
+
+    def missed(self, points: Points, load: Rectangles) -> float:
+        """Return the part of the error of `answer` that a mesh refined beside the load would not
+        have. Raises like `displacement`."""
+        known = self._checked(points, load)
+        if len(known) == 0 or not load.force_n.any() or self._tables.covering(known, load):
+            return 0.0
+        moved = self.displacement(points, load)
+        return _largest(self._missed(known, load, moved)) / _largest(moved)
 
     def _rough(self, known: PointCache, load: Rectangles, w: Points) -> Points:
         """Return the difference (m, 3) of the correction ``w`` (n, 3) to a smoother reading of the
