@@ -307,6 +307,8 @@ def test_bands_of_a_light_that_flickers_move_no_marker(share, period_px):
     tracker = Tracker(rest, card.layout)
     assert (tracker.rest.flaws.ground is None) == (share == 0.0)
     assert (tracker.track(rest).shift_px == 0.0).all()
+    assert not tracker.track(np.zeros_like(rest)).seen.any()
+    tracker.forget()
     for seed in range(2, 5):
         shift = 3.0 * np.sin(card.marks[:, ::-1] / [80.0, 90.0] + seed)
         found = tracker.track(lit(card.draw(shift), 1.7 * seed, seed))

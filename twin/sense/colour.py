@@ -106,8 +106,7 @@ class Flaws:
         place = np.linspace(-1.0, 1.0, len(rows))
         trend = np.polynomial.polynomial.polyfit(place, parts[:, rows].T, TREND)
         bands, *halves = parts[:, rows] / np.polynomial.polynomial.polyval(place, trend)
-        alike = np.corrcoef(halves)[0, 1]
-        if bands.std() < BANDED or not alike > ALIKE:
+        if bands.std() < BANDED or not np.corrcoef(halves)[0, 1] > ALIKE:
             return self, picture
         by = np.interp(np.arange(len(picture)), rows, bands)[:, None]
         return replace(self, ground=ground, bands=by), _dimmed(picture, by)
@@ -119,8 +118,9 @@ class Flaws:
         `seen_without_bands`."""
         assert self.ground is not None
         now = _bare_ground(picture, marks_px, clear_px, margin_px)
-        change = _by_row(now / self.ground)
-        rows = np.flatnonzero(np.isfinite(change))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            change = _by_row(now / self.ground)
+        rows = np.flatnonzero(np.isfinite(change) & (change > LEAST_LIGHT))
         if not len(rows):
             return picture
         since = np.interp(np.arange(len(change)), rows, change[rows])[:, None]
@@ -254,6 +254,9 @@ to .002), where that is more than `DARK_DN`: darker ground shows rounding."""
 
 ALIKE = 0.8
 """Correlation of bands in both halves of the rows; of grained ground it is -.15 to .12."""
+
+LEAST_LIGHT = 0.05
+"""A row that has a smaller share of its light at rest is dark, and no band."""
 
 COLUMNS = 400
 """About so many columns of a picture are looked at."""
