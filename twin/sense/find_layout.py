@@ -235,7 +235,7 @@ def find_layout(rest_image: Picture) -> FoundLayout:
 
 
 def _contrast(picture: Picture) -> tuple[Singles, float]:
-    """Return what a picture has beside its ground, (h, w, 3) counts, and the noise of a pixel.
+    """Return what a picture has besides its ground, (h, w, 3) counts, and the noise of a pixel.
 
     Where dots are dark the ground's shading is taken off: an LED's colour then doesn't look like
     the colour of the dots in front of it. And black around the sensor doesn't count: with the dots
@@ -261,8 +261,8 @@ def _contrast(picture: Picture) -> tuple[Singles, float]:
 
 
 def _less_ground(picture: Picture, surround: Bools) -> tuple[Singles, Singles]:
-    """Return what a picture has beside its ground, and that, (h, w, 3) counts; the ``surround`` (h,
-    w) of the sensor has nothing, and the ground of what is next to it."""
+    """Return what a picture has besides its ground, and that, (h, w, 3) counts; the ``surround``
+    (h, w) of the sensor has nothing, and the ground of what is next to it."""
     height, width = picture.shape[:2]
     step = max(1, min(height, width) // COARSE_PX)
     coarse = picture[::step, ::step].astype(np.float32)

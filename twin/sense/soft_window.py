@@ -227,7 +227,7 @@ class SoftWindow(CentreEstimator):
     def _followed(
         self, around: Neighbourhood, spots: Pixels, alike: Bools, start_px: Pixels | None
     ) -> tuple[Ints, bool]:
-        """Return the result of `Neighbourhood.follow`, which is told of what else is seen at
+        """Return the result of `Neighbourhood.follow`, which takes in what else is seen at
         rest."""
         look, (spare, beyond) = self.look, self._spare
         spare = np.setdiff1d(spare, beyond) if around.goes_on else spare

@@ -287,7 +287,7 @@ class Tracker:
             for one in images
         ]
         self._frame = -1
-        # Without a border in sight, motion by the lattice's own steps can't be told from none.
+        # Without a border in sight, motion by the lattice's own steps looks like none.
         self._first_px: Pixels | None = None
         if all(group.endless for group in self.rest.groups):
             AccuracyWarning.issue(_ENDLESS)
@@ -427,7 +427,7 @@ def _measured(rest: Rest, picture: Picture, start_px: Pixels | None, whole: bool
         seen = (group.search if whole else group.measure)(picture, start)
         halved = rest.flaws.blocks is not None and seen.coherence > 1.0
         film = FILM if halved else 1.0
-        if rest.film:  # that edges look alike says nothing where a codec repeats them
+        if rest.film:  # that edges look alike proves nothing where a codec repeats them
             film = REPEATING / min(seen.coherence, 1.0)
         shift[rows], sd[rows], state[rows] = seen.shift_px, film * seen.sd_px, seen.state
         drift[rows] = group.drift_px
