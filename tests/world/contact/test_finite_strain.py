@@ -709,6 +709,7 @@ def test_a_scene_of_the_lowest_poisson_ratio_is_solved_as_casting_leaves_it():
         ({"friction": STICKY, "force_n": None, "indentation_mm": 0.1}, {}, "where a force presses it"),
         ({"friction": 0.5, "steps": ROLLED, "force_n": None}, {}, "doesn't roll"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0), "friction": 0.5}, {}, "upright probes"),
+        ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "touches with its rim, solved from 0.15"),
         (GUIDED, {}, "torques across its direction.*guided along it"),
         ({"at_mm": (1, 1), "direction": "normal"}, {}, 'force_n = .*across its direction.*axes = "probe"'),
         ({}, {"poisson_ratio": 0.4}, "poisson_ratio: as made below 0.44"),  # not the drawn number

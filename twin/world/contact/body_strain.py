@@ -210,6 +210,14 @@ class BodyStrain(FiniteStrain):
         touched = list(zip(sharp, _probes(state), strict=True))
         smooth = [_smooth(_rounded(one, _LEAST_RIM), at, _CELLS) for one, at in touched]
         approaches = [one for one, _ in smooth]
+        for one, made in zip(sharp, approaches, strict=True):
+            if any(one.tilt_deg[:Z]) and made.probe is not one.probe:
+                least_mm = _LEAST_RIM * min(half_extent(one.probe))
+                _refuse(
+                    material,
+                    "press.probe.edge_mm: a tilted face touches with its rim, solved from "
+                    f"{least_mm:.3g} mm on",
+                )
         off = max(share for _, share in smooth)
         if off > _OFF:
             part = f"{100 * off:.2g} % of the indentation" if math.isfinite(off) else "its border"
