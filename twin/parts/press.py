@@ -248,8 +248,7 @@ class Step(Part):
         Total torque about the probe's place, N mm, positive from x to y: one number is about z, or
         a table or three numbers as above.
     turn_deg
-        Turn about that place during this step, degrees, same form. Turns about x and y are small
-        ones (`twin.world.contact.probe_gap`).
+        Turn about that place during this step, degrees, same form.
     seconds
         How long the step takes: all that it gives changes linearly in time. 0 is at once, too fast
         for rubber with `Material.relaxation` to relax. A probe that is lifted by a force of 0 is
