@@ -351,7 +351,8 @@ class Ladder:
             found.append(solved(bare))
             if found[-1].error > self._asked:
                 centres, widths = self._steep(level, load)
-                if len(centres) and bare.missed(inside, load) > LOCALLY * found[-1].error:
+                moved = found[-1].displacement_mm[free]
+                if len(centres) and bare.missed(inside, load, moved) > LOCALLY * found[-1].error:
                     found.append(solved(self._refined(level, centres, widths)))
             if found[-1].error <= self._asked:
                 break

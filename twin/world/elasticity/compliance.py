@@ -446,13 +446,12 @@ class Compliance:
         share = np.linalg.norm(moved, axis=1) / np.maximum(free, 1e-300)
         return np.asarray(missed * np.minimum(share / WEAKER, 1.0)[:, None])
 
-    def missed(self, points: Points, load: Rectangles) -> float:
-        """Return the part of the error of `answer` that a mesh refined beside the load would not
-        have. Raises like `displacement`."""
+    def missed(self, points: Points, load: Rectangles, moved: Points) -> float:
+        """Return the part of the error of `answer`, which gave ``moved`` (n, 3), mm, that a mesh
+        refined beside the load would not have. Raises like `displacement`."""
         known = self._checked(points, load)
         if len(known) == 0 or not load.force_n.any() or self._tables.covering(known, load):
             return 0.0
-        moved = self.displacement(points, load)
         return _largest(self._missed(known, load, moved)) / _largest(moved)
 
     def _rough(self, known: PointCache, load: Rectangles, w: Points) -> Points:
