@@ -247,19 +247,10 @@ def reconstruct(
         linear = _solved(problem, whole, given, robust, camera)
         sd_force, moved = linear.sd_force_n, np.zeros(3)
     problem, force = linear.problem, linear.force_n
-    factors, rows = problem.factors, calibration.total_rows
-    even = min(linear.scale, MOST_EVEN) if isinstance(weight, str) else linear.scale
-    variance = even**2 * np.diag(factors.covariance(linear.weight, rows))
-    if METHODS[method].local or even < linear.scale:
-        variance = variance + factors.misfit_variance(linear.data, linear.weight, rows, even)
-    sd_total = np.sqrt(variance)
+    rows = calibration.total_rows
     totals = rows @ force.ravel()
-    sd_total[:3] = np.hypot(sd_total[:3], moved)
-    sd_total = np.hypot(sd_total, np.hypot(calibration.scale_error, found.gain_error) * totals)
-    sd_total = np.hypot(sd_total, linear.totals_left_open)
-    if np.any(found.drift_px):
-        drift = problem.whiten(found.drift_px * np.ones_like(found.shift_px))
-        sd_total = np.hypot(sd_total, factors.sums(rows, drift[None], linear.weight)[0])
+    even = min(linear.scale, MOST_EVEN) if isinstance(weight, str) else linear.scale
+    sd_total = _sd_of_totals(found, linear, even, moved, local=METHODS[method].local)
     kkt = 0.0
     if push_only or friction is not None:
         at = linear.weight
@@ -290,6 +281,32 @@ def reconstruct(
     if history is None:
         return _at_unknown_time(field, calibration.relaxation)
     return _relaxed(field, history, after_s)
+
+
+def _sd_of_totals(
+    found: Found, linear: _Linear, even: float, moved: Floats, *, local: bool
+) -> Floats:
+    """Return the (6,) standard deviations of a linear solution's totals, N and N mm, by all that
+    `Field.sd_total_n` lists but bounds.
+
+    ``even`` is the size of the noise that all markers share; ``moved`` (3,) is how far the last
+    turn of ``local`` moved the total force, N.
+    """
+    problem, weight = linear.problem, linear.weight
+    calibration, factors = problem.calibration, problem.factors
+    rows = calibration.total_rows
+    variance = even**2 * np.diag(factors.covariance(weight, rows))
+    if local or even < linear.scale:
+        variance = variance + factors.misfit_variance(linear.data, weight, rows, even)
+    sd = np.sqrt(variance)
+    sd[:3] = np.hypot(sd[:3], moved)
+    totals = rows @ linear.force_n.ravel()
+    sd = np.hypot(sd, np.hypot(calibration.scale_error, found.gain_error) * totals)
+    sd = np.hypot(sd, linear.totals_left_open)
+    if np.any(found.drift_px):
+        drift = problem.whiten(found.drift_px * np.ones_like(found.shift_px))
+        sd = np.hypot(sd, factors.sums(rows, drift[None], weight)[0])
+    return np.asarray(sd)
 
 
 def _relaxed(field: Field, history: Hereditary, seconds: float) -> Field:
