@@ -14,8 +14,8 @@ import twin
 PACKAGE = Path(twin.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
 HOMES = {
-    "mitsuba": {"world/picture/mitsuba_tracer.py", "world/picture/path_tracer.py"},
-    "drjit": {"world/picture/mitsuba_tracer.py", "world/picture/path_tracer.py"},
+    "mitsuba": {"world/picture/backend.py", "world/picture/path_tracer.py"},
+    "drjit": {"world/picture/backend.py", "world/picture/path_tracer.py"},
     "pytetwild": {"world/mesh/tetrahedralise.py"},
     "mmgpy": {"world/mesh/tetrahedralise.py"},
     "pypardiso": {"world/elasticity/factor.py"},
