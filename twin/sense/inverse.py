@@ -240,17 +240,15 @@ def _weights(
     usual = found.usual_sd_px
     if usual is not None and weighted:
         known = np.asarray(calibration.calibrated & np.isfinite(usual))
-        if not (used & ~known).any():
+        unknowns = calibration.transfer.shape[1]
+        if 2 * known.sum() >= unknowns and not (used & ~known).any():
             noise = Problem.in_classes(usual[known])
             ratio, here = own[known] / noise, used[known]
             size = float(medians(ratio[here]))
             odd = (ratio > UNUSUAL * size) | (ratio < size / UNUSUAL)
             share = np.where(here, np.where(odd, (size / ratio) ** 2, 1.0), 0.0)
             count = int((share != 1.0).sum())
-            if (
-                count <= MOST_UNUSUAL * len(noise)
-                and 2 * (len(noise) - count) >= calibration.transfer.shape[1]
-            ):
+            if count <= MOST_UNUSUAL * len(noise) and 2 * (len(noise) - count) >= unknowns:
                 return known, noise * size, share
     return used, Problem.in_classes(own[used]), np.ones(int(used.sum()))
 

@@ -457,17 +457,18 @@ def _local_slopes(
     squares that is.
     """
     members = np.column_stack([np.arange(len(values)), around.near])
-    weight = np.pad(around.fit_weight, ((0, 0), (1, 0)), constant_values=1.0)
+    weight = np.column_stack([np.ones(len(values)), around.fit_weight])
     value = values[members]
     weight[~np.isfinite(value)] = 0.0
     value = np.nan_to_num(value)
     terms = np.ones((*members.shape, 3))
     terms[:, :, 1:] = np.nan_to_num(places[members] - places[:, None]) / around.spacing_px
-    trust = weight
+    both = np.concatenate([terms, value[:, :, None]], axis=2)
+    products = (terms[:, :, :, None] * both[:, :, None]).reshape(*members.shape, 12)
+    trust, pull = weight, PULL * np.eye(3)
     for _ in range(TURNS_OF_PLANES):
-        weighted = trust[:, :, None] * terms
-        matrix = weighted.transpose(0, 2, 1) @ terms + PULL * np.eye(3)
-        plane = np.linalg.solve(matrix, (weighted * value[:, :, None]).sum(axis=1)[:, :, None])
+        sums = (trust[:, None] @ products).reshape(-1, 3, 4)
+        plane = np.linalg.solve(sums[:, :, :3] + pull, sums[:, :, 3:])
         off = value - (terms @ plane)[:, :, 0]
         usual = 1.4826 * medians(np.where(weight > 0.0, np.abs(off), np.nan), 1)
         trust = weight / (1.0 + (off / np.fmax(OUTLYING * usual, 1e-9)[:, None]) ** 2) ** 2
@@ -548,18 +549,21 @@ def _widest(templates: Templates) -> float:
 
 
 def _covered(picture: Picture, marks: Pixels, radius: float) -> Bools:
-    """Return (h, w + margin) which pixels are nearer than ``radius``, and some, to one of ``marks``
-    (n, 2). The margin means nothing: what lies left and right of the picture ends there."""
-    offset = disc_offsets(radius + MARGIN_PX)
-    height, width = picture.shape[:2]
-    reach = int(np.abs(offset).max())
+    """Return (h, w) which pixels are nearer than ``radius`` px, and some, to ``marks`` (n, 2)."""
+    covered = np.zeros(picture.shape[:2], np.bool_)
     middle = np.rint(marks[np.isfinite(marks).all(axis=1)]).astype(int)
-    near = (middle > -reach) & (middle < np.array([width, height]) + reach)
-    covered = np.zeros((height + 4 * reach, width + 2 * reach), np.bool_)
-    step = np.array([1, covered.shape[1]])
-    first = middle[near.all(axis=1)] @ step + 2 * reach * step[1]
-    covered.ravel()[first[:, None] + offset @ step] = True
-    return covered[2 * reach : -2 * reach]
+    _cover(middle, disc(int((radius + MARGIN_PX) ** 2))[1], covered)
+    return covered
+
+
+@njit(cache=True)
+def _cover(middle, runs, covered):
+    """Set what of ``covered`` (h, w) is in one of the discs of ``runs`` about ``middle`` (n, 2)."""
+    for column, row in middle:
+        for line, first, count in runs:
+            if 0 <= row + line < len(covered):
+                start = max(column + first, 0)
+                covered[row + line, start : max(column + first + count, start)] = True
 
 
 def _ground_slopes(
@@ -617,6 +621,8 @@ class BareGround:
     places_px, moved_px
         (q, 2) places at rest; (q, 4) how far a marker there would have been moved, px, by the
         ground around it, and by that behind it too.
+    terms
+        (q, 6) `slope_terms` of these places.
     marks_px
         (m, 2) markers of all layers at rest, px.
     near
@@ -625,6 +631,7 @@ class BareGround:
 
     places_px: Pixels
     moved_px: Floats
+    terms: Floats
     marks_px: Pixels
     near: Ints
 
@@ -670,15 +677,13 @@ class BareGround:
         if known.sum() < QUADRATIC:
             return None
         places, moved = places[known], moved[known]
-        if (
-            _uneven(moved, slope_terms(places, picture.shape))[1]
-            < WHITE * medians(by_noise[known])[1]
-        ):
+        terms = slope_terms(places, picture.shape)
+        if _uneven(moved, terms)[1] < WHITE * medians(by_noise[known])[1]:
             return None
         few = slice(None, None, math.ceil(len(places) / FEW_PLACES))
-        places, moved = places[few], moved[few]
+        places, moved, terms = places[few], moved[few], terms[few]
         near = cKDTree(rest_px[own]).query(np.concatenate([places, marks]), k=BESIDE)[1]
-        return cls(places_px=places, moved_px=moved, marks_px=marks, near=own[near])
+        return cls(places_px=places, moved_px=moved, terms=terms, marks_px=marks, near=own[near])
 
     def coherence(
         self,
@@ -700,59 +705,58 @@ class BareGround:
         count = len(self.places_px)
         widest = max(growth, 1.0) * _widest(templates)
         covered = _covered(picture, self.marks_px + moved_on[count:], widest)
-        smooth = slope_terms(self.places_px, picture.shape)
 
-        def changed(places: Pixels) -> tuple[float, float]:
-            """Return the mean squares of what the ground now moves markers at places more than at
-            rest: by what is around them, and by what is behind them too."""
-            moved, by_noise = _moved_by_ground(picture, templates, places, covered)
-            change = moved - self.moved_px
+        def changed(places: Pixels, parts: int) -> Floats:
+            """Return (parts,) mean squares of what the ground now moves markers at places more than
+            at rest: by what is around them; of two ``parts`` by what is behind them too."""
+            moved, by_noise = _moved_by_ground(picture, templates, places, covered, parts)
+            at_rest = self.moved_px[:, : 2 * parts]
+            change = moved - at_rest
             known = np.isfinite(change[:, 0])
-            noise = medians(by_noise[known]) if known.any() else np.zeros(2)
+            noise = medians(by_noise[known]) if known.any() else np.zeros(parts)
             if known.sum() < QUADRATIC:
-                change = np.sqrt(2.0) * self.moved_px  # as if the texture were another one
-            around, behind = np.fmax(_uneven(change, smooth) - 2.0 * noise, 0.0)
-            return float(around), float(behind)
+                change = np.sqrt(2.0) * at_rest  # as if the texture were another one
+            return np.asarray(np.fmax(_uneven(change, self.terms) - 2.0 * noise, 0.0))
 
-        there, _ = changed(self.places_px + moved_on[:count])
+        (there,) = changed(self.places_px + moved_on[:count], 1)
         if there == 0.0:
             return 1.0
-        here, whole = changed(self.places_px)
+        here, whole = changed(self.places_px, 2)
         camera = max(whole - here, 0.0) * min(there / max(here, 1e-12), 1.0)
         return float(np.sqrt(1.0 + (there + camera) / medians(sd_px) ** 2))
 
 
 def _uneven(moved: Floats, smooth: Floats) -> Floats:
-    """Return (2,) the mean squares, per axis, of ``moved`` (n, 4) but for what varies as
+    """Return (p,) the mean squares, per axis, of ``moved`` (n, 2 p) but for what varies as
     ``smooth`` (n, 6) functions of the place, which moves markers alike at rest and later."""
     known = np.isfinite(moved[:, 0])
     moved, basis = moved[known], smooth[known]
     moved = moved - basis @ np.linalg.solve(basis.T @ basis, basis.T @ moved)
-    return BareGround.bounded_squares(moved.reshape(-1, 2, 2).swapaxes(1, 2).reshape(-1, 2))
+    return BareGround.bounded_squares(np.concatenate([moved[:, ::2], moved[:, 1::2]]))
 
 
 def _moved_by_ground(
-    picture: Picture, templates: Templates, places: Pixels, covered: Bools
+    picture: Picture, templates: Templates, places: Pixels, covered: Bools, parts: int = 2
 ) -> tuple[Floats, Floats]:
-    """Return how far the ground moves a usual marker's centre at ``places`` (n, 2), px: (n, 4) by
-    what is around the marker, and by that behind it too; NaN where too much is `_covered`.
-    And (n, 2) the variances of that by single pixels' noise."""
+    """Return how far the ground moves a usual marker's centre at ``places`` (n, 2), px: (n, 2) by
+    what is around the marker, and two columns more of two ``parts``, by that behind it too; NaN
+    where too much is `_covered`. And (n, parts) the variances of that by single pixels' noise."""
     shape = templates.usual_shape
     radius, blur = templates.usual_radius_px, float(shape[6])
     height, width = picture.shape[:2]
     offset, runs = disc_offsets(radius + blur), disc(int((radius + blur) ** 2))[1]
-    moved, by_noise = np.full((len(places), 4), np.nan), np.full((len(places), 2), np.nan)
+    moved = np.full((len(places), 2 * parts), np.nan)
+    by_noise = np.full((len(places), parts), np.nan)
     # Places inside the picture, and the ground's slopes there, which are in the model.
-    rows = np.flatnonzero(np.isfinite(places[:, 0]))
-    middle = np.rint(places[rows]).astype(int)
-    reach = np.abs(offset).max()
-    inside = ((middle >= reach) & (middle < np.array([width, height]) - reach)).all(axis=1)
-    rows, middle = rows[inside], middle[inside]
+    nearest, reach = np.rint(places), len(runs) // 2
+    inside = (nearest >= reach) & (nearest < [width - reach, height - reach])
+    rows = np.flatnonzero(inside.all(axis=1))
+    middle = nearest[rows].astype(int)
     slope = slope_terms(places[rows], picture.shape) @ templates.ground_slopes.T
-    seen = (picture, tuple(templates.own.astype(float)), templates.sites, covered)
+    seen = (picture, tuple(templates.own.tolist()), templates.sites, covered)
     edge = (radius, blur, float(shape[7]))
     least = LEAST_FREE * float(templates.sites.mean())
-    solved, variance = np.full((len(rows), 4), np.nan), np.full((len(rows), 2), np.nan)
+    solved, variance = moved[rows], by_noise[rows]
     at = (middle, middle - places[rows], slope, offset, runs)
     _fit_ground(*seen, *at, edge, least, solved, variance)
     moved[rows] = solved
@@ -764,9 +768,9 @@ def _moved_by_ground(
 def _fit_ground(
     image, own, sites, covered, middle, apart, slope, offset, runs, edge, least, moved, variance
 ):
-    """Fill how far the ground has ``moved`` (q, 4) a marker at each place, and the ``variance``
-    (q, 2) of that by unit noise, where more than the share ``least`` of its edge is not `_covered`:
-    by what is around the marker, and by that behind it too.
+    """Fill how far the ground has ``moved`` (q, 2 p) a marker at each place, and the ``variance``
+    (q, p) of that by unit noise, where more than the share ``least`` of its edge is not `_covered`:
+    by what is around the marker, and with p = 2 by that behind it too.
 
     Least squares of the signal s, less its mean, by the slopes of the brightness along x and y, and
     a constant: g. With b the share of a pixel that no marker hides, or 1, the right side sums
@@ -788,12 +792,11 @@ def _fit_ground(
             start = line * covered.shape[1] + first
             behind = hidden[start : start + number]
             site, other = sites[line & 1, first & 1], sites[line & 1, ~first & 1]
+            at, counts = value[done : done + number], use[done : done + number]
             for p in range(number):
-                at = done + p
-                value[at] = (
-                    red * pixels[3 * p] + green * pixels[3 * p + 1] + blue * pixels[3 * p + 2]
-                )
-                use[at] = (other if p & 1 else site) * (1.0 - behind[p])
+                at[p] = red * pixels[3 * p] + green * pixels[3 * p + 1] + blue * pixels[3 * p + 2]
+            for p in range(number):
+                counts[p] = (other if p & 1 else site) * (1.0 - behind[p])
             done += number
         if right != last_x or down != last_y:  # at rest all places lie alike on the pixels
             last_x, last_y, whole = right, down, 0.0
@@ -830,7 +833,7 @@ def _fit_ground(
             ]
         )
         rows /= xx * rows[0, 0] + xy * rows[0, 1] + x1 * rows[0, 2]
-        for part in range(2):
+        for part in range(variance.shape[1]):
             by_x, by_y, sx, sy = 0.0, 0.0, 0.0, 0.0
             for p in range(count):
                 bare = use[p] * (1.0 - (1.0 - part) * hides[p])
