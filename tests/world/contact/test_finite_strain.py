@@ -40,6 +40,7 @@ ON_DOME = json.loads((REFERENCE / "dome_neohooke.json").read_text())["cases"][:2
 PROBES = {"sphere": Sphere, "cylinder": Cylinder, "cone": Cone}
 BALL = Sphere(diameter_mm=6)
 STICKY = float("inf")
+STIFFENING = {"law": "yeoh", "law_ratios": (0.4, 0.3)}
 
 
 @pytest.fixture(autouse=True)
@@ -423,17 +424,22 @@ def test_whole_block_under_a_flat_face_is_another_codes_slab(edge_mm, friction):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("probe", "force"),
-    [(Cone(diameter_mm=6.48, apex_deg=130, tip_mm=0.324), 1.098), (Sphere(diameter_mm=4.08), 3.159)],
+    ("probe", "force", "thick", "nu", "law"),
+    [
+        (Cone(diameter_mm=6.48, apex_deg=130, tip_mm=0.324), 1.098, 2.0, 0.47, STIFFENING),
+        (Sphere(diameter_mm=4.08), 3.159, 2.0, 0.47, STIFFENING),
+        (Sphere(diameter_mm=4), 0.3, 10.0, 0.49, {"law": "neo_hookean"}),
+        (Sphere(diameter_mm=4), 1.5, 8.0, 0.46, {"law": "neo_hookean"}),
+    ],
 )
-def test_whole_thin_block_states_how_far_it_is_from_a_slab_of_revolution(probe, force):
+def test_whole_block_states_how_far_it_is_from_a_slab_of_revolution(probe, force, thick, nu, law):
     """More was left than stated: of the cone's displacement, as its tip strains rubber that stiffens, and of the
-    sphere's depth, on rubber thinner than its contact is wide."""
+    spheres' depths, the first's on rubber thinner than its contact is wide."""
     press = twin.Press(probe=probe, force_n=(0, 0, force))
-    linear = made("linear", **{"body.thickness_mm": 2.0, "material.poisson_ratio": 0.47})
+    linear = made("linear", **{"body.thickness_mm": thick, "material.poisson_ratio": nu})
     state = linear.press(press)
     places = np.array([[r, 0.0, z] for z in (0.4, 0.8) for r in (0.0, 0.5, 1.0, 2.0)])
-    material = linear.nominal.material.model_copy(update={"law": "yeoh", "law_ratios": (0.4, 0.3)})
+    material = linear.nominal.material.model_copy(update=law)
     given = press, linear.nominal.body, material, state, places
     slab, whole = round_slab.SlabStrain(*given), BodyStrain(*given)
     missed = whole.displacement(places) - slab.displacement(places)

@@ -137,6 +137,10 @@ _STIFF, _STIFF_SUNK = 2.0, 2.5
 """How many times larger these are on rubber that stiffens, where the tips of cones strain it most,
 and those of the indentation under cones and flat faces."""
 
+_DEEPER = 0.07
+"""The indentation's error over what linear theory leaves out of it: meshes as coarse under the
+probe have this in common, most of it at the contact's end."""
+
 _CELLS, _COARSE_CELLS, _SEEN, _HIGH, _OFF = (16, 32), (16,), 1.8, 1.0, 0.02
 """Cells of the splines that stand for a probe's triangles along a side, and those of the coarser
 mesh; half of the side over the contact's radius; how high above its lowest point, over the
@@ -279,15 +283,16 @@ class BodyStrain(FiniteStrain):
         close = min(_away(one, self._watched).min() / one.contact_radius_mm for one in probes)
         shallow = self._shares.shallow / max(close, _CLOSE)
         markers = max(found.markers, least / self._largest_mm + _TOLERANCE.markers, shallow)
-        found = replace(found, markers=markers)
+        deep = np.array([one.indentation_mm for one in probes])
+        share = max(self._shares.near, _DEEPER) if self._rubs else _DEEPER
+        sunk = found.indentation + share * float(np.max(np.abs(self.moved[:, Z]) / deep))
+        found = replace(found, markers=markers, indentation=sunk)
         if not self._rubs:
             return found
         held, other = self._held(self._pair), self._held(self._other)
         force = max(_GUIDED * self._held_share(held), self._held_share(other - held))
         stuck = (1.0 - self._state.slip_share) * _STUCK_OVER_CUBE * self.linear_error**3
-        deeper = abs(self.indentation_mm) / self._state.indentation_mm
-        sunk = found.indentation + self._shares.near * deeper
-        return replace(found, force=force, markers=found.markers + stuck, indentation=sunk)
+        return replace(found, force=force, markers=found.markers + stuck)
 
     def _held(self, pair: FiniteStrain.Solutions) -> Floats:
         """Return (6,) how much larger, over Young's modulus, the force is with which motions hold
