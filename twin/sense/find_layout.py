@@ -46,7 +46,7 @@ LEAST_DN, LEAST_SNR = 8.0, 4.0
 WIDTHS_PX = (4.0, 6.0, 9.0, 13.0, 19.0, 28.0, 42.0, 63.0)
 """Widths at which spots are sought; each serves dots from half to twice as wide."""
 
-SAMPLED = 3e6
+_SAMPLED = 3e6
 """Of larger pictures about so many counts are looked at for the dots' colours."""
 
 FAINT = 0.15
@@ -242,7 +242,7 @@ def _contrast(picture: Picture) -> tuple[Singles, float]:
     next to it it is more than half of a median's window.
     """
     away, ground = _less_ground(picture, np.zeros(picture.shape[:2], bool))
-    every = max(1, int(np.sqrt(away.size / SAMPLED)))
+    every = _every(away)
     steps = np.abs(np.diff(away[:: 2 * every], axis=1))
     noise = float(max(1.4826 * np.median(steps) / np.sqrt(2.0), 0.2))
     low, high = np.quantile(away[::every, ::every].sum(axis=2), [0.002, 0.998])
@@ -279,10 +279,15 @@ def _less_ground(picture: Picture, surround: Bools) -> tuple[Singles, Singles]:
     return away, ground
 
 
+def _every(away: Singles) -> int:
+    """Return which rows and columns, every so many, are looked at."""
+    return max(1, int(np.sqrt(away.size / _SAMPLED)))
+
+
 def _colourings(away: Singles, noise: float) -> Iterator[list[Weights]]:
     """Return projections to try: of two colours apart, of one alone, with more and more faint
     pixels taken for dots."""
-    every = max(1, int(np.sqrt(away.size / SAMPLED)))
+    every = _every(away)
     windows = sliding_window_view(away, (3, 3), axis=(0, 1))[::every, ::every]
     middle = np.partition(windows.reshape(*windows.shape[:3], 9), 4, axis=3)[..., 4]
     away = away[1:-1:every, 1:-1:every]

@@ -64,6 +64,10 @@ ASTRAY = 0.15
 """Share of the markers that may have moved unlike their neighbours: the spots of partly hidden
 markers lie off their centres."""
 
+OUTLYING = 3.0
+"""A score of more medians counts as one of so many: under moving shadows up to a quarter of a layer
+may have more."""
+
 LEAST_SCORES = 4
 """From so many numbers on a median is taken."""
 
@@ -271,6 +275,24 @@ class Neighbourhood:
             certain,
         )
         return predicted, certain
+
+    @staticmethod
+    def bounded_squares(score: Floats) -> Floats:
+        """Return (q,) the mean squares of the columns of ``score`` (n, q), where more than
+        `OUTLYING` medians count as so many."""
+        score = np.abs(score)
+        return np.asarray((np.minimum(score, OUTLYING * medians(score)) ** 2).mean(axis=0))
+
+    def scatter(self, shift_px: Pixels, sd_px: Floats | float = 1.0) -> float | None:
+        """Return how far shifts (n, 2) are off the local affine motion of their neighbours, over
+        their deviations ``sd_px``, root mean square: an upper bound of their noise, as motion that
+        is less smooth counts, too. None where too few have neighbours."""
+        expected, certain = self.predict(shift_px)
+        score = ((shift_px - expected) / np.reshape(sd_px, (-1, 1)))[certain]
+        score = score[np.isfinite(score[:, 0])]
+        if len(score) < LEAST_SCORES:
+            return None
+        return math.sqrt(Neighbourhood.bounded_squares(score.reshape(-1, 1))[0])
 
     def usual(self, measured: Floats, fine: Bools, rows: Ints) -> tuple[Floats, Floats]:
         """Return what ``measured`` (n, q) should be for markers ``rows`` by their ``fine``

@@ -21,12 +21,11 @@ from twin.arrays import Picture, Pixels
 from twin.compiled import njit
 from twin.sense.centre import MISSING, CentreEstimator, Look, Seen
 from twin.sense.detect import SD_FLOOR_PX
-from twin.sense.match import LEAST_SCORES, Neighbourhood
-from twin.sense.rest_templates import BareGround
+from twin.sense.match import Neighbourhood
 
 PASSES = 2
 
-SD_PX = 0.07
+_SD_PX = 0.07
 """Stated where too few markers have neighbours. Measured: .02 to .6, by noise, cell and JPEG."""
 
 
@@ -60,17 +59,9 @@ class PaperCentroid(CentreEstimator):
         cell_px = self.around.spacing_px
         shift = self._centroids(picture, self.look, known, cell_px) - known
         state = np.full(len(known), MISSING, np.uint8)
-        return Seen(shift_px=shift, sd_px=np.full(len(known), self._scatter(shift)), state=state)
-
-    def _scatter(self, shift_px: Pixels) -> float:
-        """Return how far shifts are off the local affine motion of their neighbours, px, root mean
-        square: an upper bound of their noise, as motion that is less smooth counts, too."""
-        expected, certain = self.around.predict(shift_px)
-        off = (shift_px - expected)[certain & np.isfinite(shift_px[:, 0])]
-        if len(off) < LEAST_SCORES:
-            return SD_PX
-        scatter = math.sqrt(BareGround.bounded_squares(off.reshape(-1, 1))[0])
-        return max(scatter, SD_FLOOR_PX)
+        scatter = self.around.scatter(shift)
+        sd_px = _SD_PX if scatter is None else max(scatter, SD_FLOOR_PX)
+        return Seen(shift_px=shift, sd_px=np.full(len(known), sd_px), state=state)
 
     @staticmethod
     def _centroids(

@@ -23,11 +23,20 @@ from itertools import product
 import numpy as np
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kernel, medians
+from twin.arrays import (
+    Bools,
+    Floats,
+    Ints,
+    Picture,
+    Pixels,
+    Singles,
+    for_kernel,
+    medians,
+)
 from twin.compiled import njit
 from twin.sense.centre import Look
 from twin.sense.colour import LUMA, Flaws
-from twin.sense.match import Neighbourhood
+from twin.sense.match import OUTLYING, Neighbourhood
 from twin.sense.shape_fit import fit_shapes
 from twin.sense.template import (
     CENTRE,
@@ -111,10 +120,6 @@ BESIDE = 3
 LEAST_FREE = 0.499
 """A place counts where so much of the edge's information is over ground that no marker covers: less
 than a half, which is in sight, but for rounding, where one side is covered."""
-
-OUTLYING = 3.0
-"""A score of more medians counts as one of so many: under moving shadows up to a quarter of a layer
-may have more."""
 
 RING = 1.4
 """The ground's slope is measured out to so many radii of a marker."""
@@ -636,13 +641,6 @@ class BareGround:
     near: Ints
 
     @staticmethod
-    def bounded_squares(score: Floats) -> Floats:
-        """Return (q,) the mean squares of the columns of ``score`` (n, q), where more than
-        `OUTLYING` medians count as so many."""
-        score = np.abs(score)
-        return np.asarray((np.minimum(score, OUTLYING * medians(score)) ** 2).mean(axis=0))
-
-    @staticmethod
     def noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
         """Return (n, 2) the noise's variances in another picture than that at rest: never less, and
         more as the ground around the markers at ``places`` (n, 2), px, has more."""
@@ -732,7 +730,7 @@ def _uneven(moved: Floats, smooth: Floats) -> Floats:
     known = np.isfinite(moved[:, 0])
     moved, basis = moved[known], smooth[known]
     moved = moved - basis @ np.linalg.solve(basis.T @ basis, basis.T @ moved)
-    return BareGround.bounded_squares(np.concatenate([moved[:, ::2], moved[:, 1::2]]))
+    return Neighbourhood.bounded_squares(np.concatenate([moved[:, ::2], moved[:, 1::2]]))
 
 
 def _moved_by_ground(

@@ -176,7 +176,8 @@ class ShiftErrors:
         if self.templates.coherent or self.bare or share < 1.0:
             factor = self._coherence_of_edges()
         if share < 1.0 and self.templates.usual_radius_px * np.sqrt(share) < COARSE_PX:
-            factor = max(min(self._coherence_of_motion(), COARSER), factor)
+            of_motion = self.around.scatter(self.shift_px, self._noise_sd)
+            factor = max(1.0 if of_motion is None else min(of_motion, COARSER), factor)
         if self.bare:
             own = self.fitted[:, RESHAPED] == OWN_SHAPE
             growth = quantiles(self.fitted[:, SCALE] * np.where(own, LONGER, 1.0), MOST)[0]
@@ -206,17 +207,7 @@ class ShiftErrors:
         least = 1.0
         if counts.sum() >= SURE:
             least = min(max(float(np.sqrt(np.mean(score**2))), LEAST_COHERENCE), 1.0)
-        return max(float(np.sqrt(BareGround.bounded_squares(score.reshape(-1, 1))[0])), least)
-
-    def _coherence_of_motion(self) -> float:
-        """Return the same by how far the shifts are off the local affine motion of their
-        neighbours: an upper bound, as motion that is less smooth counts, too."""
-        expected, certain = self.around.predict(self.shift_px)
-        score = ((self.shift_px - expected) / self._noise_sd[:, None])[certain]
-        score = score[np.isfinite(score[:, 0])]
-        if len(score) < LEAST_SCORES:
-            return 1.0
-        return float(np.sqrt(BareGround.bounded_squares(score.reshape(-1, 1))[0]))
+        return max(float(np.sqrt(Neighbourhood.bounded_squares(score.reshape(-1, 1))[0])), least)
 
     def _shaded(self, chances: float) -> Pixels:
         """Return (n, 2) how far centres would move, px, were their slopes of brightness fitted too,
