@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from twin.errors import RecipeError
 from twin.parts.camera import Ccd
 from twin.parts.scene import Scene
 from twin.study.film import Exposures
@@ -111,16 +110,3 @@ def test_an_interlaced_frame_has_a_field_of_half_a_frame_before():
     fields = [(dot[k::2] @ columns).sum() / dot[k::2].sum() for k in (0, 1)]
     assert now - before > 1
     assert_allclose(fields, [before, now], atol=0.1)
-
-
-@pytest.mark.parametrize(
-    ("ccd", "why"),
-    [
-        ({"readout_ms": 5.0}, "give frames_per_second"),
-        ({"frames_per_second": 200}, "exposure_ms = 10 and readout_ms = 0"),
-        ({"frames_per_second": 30, "readout_ms": 40.0}, "readout_ms = 40: each must be at most"),
-    ],
-)
-def test_times_that_do_not_fit_are_refused(ccd, why):
-    with pytest.raises(RecipeError, match=why):
-        Ccd(preset="ideal", **ccd)

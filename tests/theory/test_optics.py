@@ -207,11 +207,6 @@ def test_any_number_of_layers_is_one_of_the_same_optical_path():
     assert_allclose(project(points, cut, RUBBER, 40.0), project(points, FLAT, RUBBER, 40.0), atol=1e-9)
 
 
-def test_a_wrong_number_of_coefficients_is_refused():
-    with pytest.raises(RecipeError, match="3 coefficients"):
-        Camera(focal_px=500, pupil_mm=(0, 0, 60), distortion=(0.1, 0.2, 0.3))
-
-
 @pytest.mark.parametrize("number", range(5))
 def test_a_distortion_next_to_nothing_bends_nothing(number):
     told = [0.0] * 5

@@ -80,22 +80,6 @@ def test_what_only_a_press_tells_is_refused_or_left_out(tmp_path: Path) -> None:
         make(tmp_path / "c", 2, small_scene(**{**TWO, "vary": {"tractions.0.colour": {"low": 0.1, "high": 0.2}}}))
 
 
-@pytest.mark.parametrize(
-    ("table", "words"),
-    [
-        ({"kind": "disk", "force_n": (0, 0, 1)}, "needs radius_mm"),
-        ({"kind": "rectangle", "radius_mm": 1, "force_n": (0, 0, 1)}, "needs size_mm"),
-        ({"kind": "rectangle", "size_mm": (1, 0), "force_n": (0, 0, 1)}, "size_mm.1 = 0"),
-        ({"kind": "twist", "radius_mm": 1, "force_n": (0, 0, 1)}, "needs torque_nmm"),
-        ({"kind": "bump", "radius_mm": 1, "torque_nmm": 1}, "needs force_n"),
-        ({"kind": "bump", "radius_mm": -1, "force_n": (0, 0, 1)}, "radius_mm"),
-    ],
-)
-def test_a_footprint_has_what_its_kind_needs_and_nothing_else(table: dict[str, Any], words: str) -> None:
-    with pytest.raises(RecipeError, match=words):
-        Footprint(**table)
-
-
 def test_a_single_run_takes_given_tractions_instead_of_its_press() -> None:
     result = twin.run(small_scene(**TWO), {"displacement"})
     np.testing.assert_allclose(result.truth.total_force_n, [0.1, 0, 0.7], atol=1e-9)

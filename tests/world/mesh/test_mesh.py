@@ -9,7 +9,7 @@ import pytest
 import pyvista
 import trimesh
 from slabs import block_boxes
-from standard_bodies import BLOCK, FINGER, write_stl
+from standard_bodies import BLOCK, DOME, FINGER, write_stl
 
 from twin.errors import InputError, MeshError, TwinError
 from twin.files import MESHES, PINNED
@@ -20,15 +20,12 @@ from twin.world.mesh.cover_mesh import with_cover
 from twin.world.mesh.elements import TET_EDGES
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality
-from twin.world.mesh.sizing import Sizing, WantedEdge
+from twin.world.mesh.sizing import WORLD, Sizing, WantedEdge
 from twin.world.mesh.snap import snapped_mesh
 from twin.world.mesh.tetrahedralise import remeshed
 
-FILES = {
-    f"{name}.{level}": (body, level)
-    for name, body in (("kamiyama_block", BLOCK), ("sato_finger", FINGER))
-    for level in ("standard", "nominal")
-}
+SHIPPED = {"kamiyama_block": BLOCK, "sato_finger": FINGER, "dome": DOME}
+FILES = [f"{name}.{level}" for name in ("kamiyama_block", "sato_finger") for level in ("standard", "nominal")]
 SMALL = Block(width_mm=6, length_mm=6, thickness_mm=6)
 FITS_NONE = Block(width_mm=30, length_mm=90, thickness_mm=10)
 
@@ -38,14 +35,15 @@ def small_mesh(jitter_mm=0.0):
     return snapped_mesh(SMALL, *block_boxes(SMALL, (3, 3, 3), jitter_mm))
 
 
+def read(name):
+    """Return a shipped mesh, its body and its level."""
+    body, level = name.split(".")
+    return Mesh.read(MESHES / f"{name}.npz"), SHIPPED[body], level
+
+
 @pytest.fixture(params=FILES)
-def path(request):
-    return MESHES / f"{request.param}.npz"
-
-
-@pytest.fixture
-def shipped(path):
-    return Mesh.read(path), *FILES[path.stem]
+def shipped(request):
+    return read(request.param)
 
 
 @pytest.fixture
@@ -54,15 +52,17 @@ def own_cache(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_shipped_meshes_pass_the_gates_are_small_enough_to_factor_and_say_how_they_were_made(shipped, path):
-    mesh, body, level = shipped
+@pytest.mark.parametrize("name", [f"{body}.{level}" for body in SHIPPED for level in ("nominal", *WORLD)])
+def test_shipped_meshes_pass_the_gates_are_small_enough_to_factor_and_say_how_they_were_made(name):
+    mesh, body, level = read(name)
     measured = Quality.of(mesh, body)
     assert not measured.failures()
     assert measured.least_dihedral_deg > 12
     assert measured.unknowns == mesh.unknowns == 3 * len(mesh.points) + mesh.corners
-    least, most = (20_000, 30_000) if level == "standard" else (7_000, 14_500)
+    assert abs(measured.volume_error) < 1e-4
+    least, most = {"standard": (20_000, 30_000), "nominal": (7_000, 14_500)}.get(level, (3_000, 120_000))
     assert least < mesh.unknowns < most
-    stored = Mesh.load(path)[1]
+    stored = Mesh.load(MESHES / f"{name}.npz")[1]
     assert stored["key"] == Sizing.of(body, level).mesh_key(body)
     assert stored["digest"] == mesh.digest()
     assert stored["quality"]["unknowns"] == mesh.unknowns
