@@ -413,8 +413,8 @@ class DiscFit(SoftWindow):
         known, rows = templates.shape, np.flatnonzero(odd)
         radius = np.full(len(known), np.nan)
         radius[rows] = np.sqrt(known[rows, 0] * known[rows, 2] - known[rows, 1] ** 2)
-        bulge, blur = templates.usual_shape[5:7].tolist()
-        largest = float(np.nanmax(radius))
+        bulge, blur = self.templates.usual_shape[5:7].tolist()
+        largest = float(np.fmax.reduce(radius))
         clear = max(self.around.spacing_px - largest - blur, largest + blur)
         reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
         t = templates

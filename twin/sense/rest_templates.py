@@ -631,7 +631,7 @@ class BareGround:
     marks_px
         (m, 2) markers of all layers at rest, px.
     near
-        (q + m, `BESIDE`) the nearest markers of the layer: these move as the places and marks do.
+        (`BESIDE`, q + m) the nearest markers of the layer: these move as the places and marks do.
     """
 
     places_px: Pixels
@@ -681,7 +681,7 @@ class BareGround:
         few = slice(None, None, math.ceil(len(places) / FEW_PLACES))
         places, moved, terms = places[few], moved[few], terms[few]
         near = cKDTree(rest_px[own]).query(np.concatenate([places, marks]), k=BESIDE)[1]
-        return cls(places_px=places, moved_px=moved, terms=terms, marks_px=marks, near=own[near])
+        return cls(places_px=places, moved_px=moved, terms=terms, marks_px=marks, near=own[near.T])
 
     def coherence(
         self,
@@ -697,9 +697,9 @@ class BareGround:
             return 1.0
         # Where the places, and what covers them, have moved to.
         known = np.isfinite(shift_px[:, 0])
-        number = np.where(known, 1.0, 0.0)[self.near].sum(axis=1)
+        number = known[self.near].sum(axis=0, dtype=float)
         number[number == 0.0] = np.nan
-        moved_on = np.where(known[:, None], shift_px, 0.0)[self.near].sum(axis=1) / number[:, None]
+        moved_on = np.where(known[:, None], shift_px, 0.0)[self.near].sum(axis=0) / number[:, None]
         count = len(self.places_px)
         widest = max(growth, 1.0) * _widest(templates)
         covered = _covered(picture, self.marks_px + moved_on[count:], widest)
@@ -741,47 +741,60 @@ def _moved_by_ground(
     where too much is `_covered`. And (n, parts) the variances of that by single pixels' noise."""
     shape = templates.usual_shape
     radius, blur = templates.usual_radius_px, float(shape[6])
-    height, width = picture.shape[:2]
-    offset, runs = disc_offsets(radius + blur), disc(int((radius + blur) ** 2))[1]
+    offset, runs, _ = disc(int((radius + blur) ** 2))
     moved = np.full((len(places), 2 * parts), np.nan)
-    by_noise = np.full((len(places), parts), np.nan)
-    # Places inside the picture, and the ground's slopes there, which are in the model.
-    nearest, reach = np.rint(places), len(runs) // 2
-    inside = (nearest >= reach) & (nearest < [width - reach, height - reach])
-    rows = np.flatnonzero(inside.all(axis=1))
-    middle = nearest[rows].astype(int)
-    slope = slope_terms(places[rows], picture.shape) @ templates.ground_slopes.T
+    variance = np.full((len(places), parts), np.nan)
+    # of places inside the picture
+    nearest, far = np.rint(places), 0.5 * np.array([picture.shape[1] - 1, picture.shape[0] - 1])
+    inside = (np.abs(nearest - far) <= far - len(runs) // 2).all(axis=1)
     seen = (picture, tuple(templates.own.tolist()), templates.sites, covered)
+    at = (inside, nearest, places, templates.ground_slopes, offset, runs)
     edge = (radius, blur, float(shape[7]))
-    least = LEAST_FREE * float(templates.sites.mean())
-    solved, variance = moved[rows], by_noise[rows]
-    at = (middle, middle - places[rows], slope, offset, runs)
-    _fit_ground(*seen, *at, edge, least, solved, variance)
-    moved[rows] = solved
-    by_noise[rows] = templates.usual_noise * variance
-    return moved, by_noise
+    _fit_ground(*seen, *at, edge, LEAST_FREE * templates.measured, moved, variance)
+    return moved, templates.usual_noise * variance
 
 
 @njit(cache=True, fastmath=True)
 def _fit_ground(
-    image, own, sites, covered, middle, apart, slope, offset, runs, edge, least, moved, variance
+    image,
+    own,
+    sites,
+    covered,
+    inside,
+    nearest,
+    places,
+    slopes,
+    offset,
+    runs,
+    edge,
+    least,
+    moved,
+    variance,
 ):
-    """Fill how far the ground has ``moved`` (q, 2 p) a marker at each place, and the ``variance``
-    (q, p) of that by unit noise, where more than the share ``least`` of its edge is not `_covered`:
-    by what is around the marker, and with p = 2 by that behind it too.
+    """Fill how far the ground has ``moved`` (q, 2 p) a marker at each place ``inside`` the picture,
+    and the ``variance`` (q, p) of that by unit noise, where more than the share ``least`` of its
+    edge is not `_covered`: by what is around the marker, and with p = 2 by that behind it too.
+    ``slopes`` (2, 6) of the ground are in the model.
 
     Least squares of the signal s, less its mean, by the slopes of the brightness along x and y, and
     a constant: g. With b the share of a pixel that no marker hides, or 1, the right side sums
     b s g; the matrix what a whole marker there moves by, g g; and the noise adds b b g g.
     """
     (radius, blur, level), (red, green, blue, _) = edge, own
-    count, steepest = len(offset), 15 / 16 * level / blur
+    count, steepest = runs[:, 2].sum(), 15 / 16 * level / blur
     x, y, value, use, across, along, hides = np.empty((7, count))
     flat, hidden, width, whole = image.reshape(-1), covered.reshape(-1), image.shape[1], 0.0
     last_x, last_y = np.inf, np.inf
-    for k in range(len(middle)):
-        column, row, right, down = middle[k, 0], middle[k, 1], apart[k, 0], apart[k, 1]
-        slope_x, slope_y = slope[k, 0], slope[k, 1]
+    for k in range(len(places)):
+        if not inside[k]:
+            continue
+        column, row = int(nearest[k, 0]), int(nearest[k, 1])
+        right, down = column - places[k, 0], row - places[k, 1]
+        u, v = places[k, 0] / width - 0.5, places[k, 1] / image.shape[0] - 0.5
+        slope_x, slope_y = 0.0, 0.0
+        for term, factor in enumerate((1.0, u, v, u * u, u * v, v * v)):
+            slope_x += slopes[0, term] * factor
+            slope_y += slopes[1, term] * factor
         done = 0
         for i in range(len(runs)):
             line, first, number = row + runs[i, 0], column + runs[i, 1], runs[i, 2]
@@ -799,7 +812,7 @@ def _fit_ground(
         if right != last_x or down != last_y:  # at rest all places lie alike on the pixels
             last_x, last_y, whole = right, down, 0.0
             for p in range(count):
-                x[p], y[p] = offset[p, 0] + right, offset[p, 1] + down
+                x[p], y[p] = offset[0, p] + right, offset[1, p] + down
             for p in range(count):
                 far = math.sqrt(x[p] * x[p] + y[p] * y[p])
                 depth = min(max((radius - far) / blur, -1.0), 1.0)

@@ -111,33 +111,26 @@ def fit_shapes(
     out = np.full((len(start_px), SHAPE + 3), np.nan)
     rows = np.flatnonzero(np.isfinite(start_px.sum(axis=1) + radius_px))
     start, radius = start_px[rows], radius_px[rows]
-    middle = np.rint(start).astype(np.int64)
     offset, runs, _ = disc(int(reach_px**2))
-    signal, use = np.empty((2, len(rows), offset.shape[1]), np.float32)
-    colour = tuple(own)
-    for k, (column, row) in enumerate(middle):
-        gather(picture, colour, others, sites, column, row, offset, NO_RUNS, signal[k], use[k])
     p = np.zeros((len(rows), PARAMETERS))
-    p[:, :2] = start
-    p[:, 3] = signal[:, runs[:, 2].sum() // 2]  # at the middle
-    p[:, 10] = blur_px
-    free = (float(free_bulge), float(free_blur))
+    p[:, :2], p[:, 10] = start, blur_px
     fine = np.zeros(len(rows), np.bool_)
-    work = np.empty((PARAMETERS + 1, offset.shape[1]))
-    sums = np.empty((PARAMETERS + 1, PARAMETERS + 1))
     _fit_shapes(
-        signal,
-        use,
-        middle,
+        picture,
+        own,
+        others,
+        sites,
         offset,
+        int(runs[:, 2].sum()) // 2,
         radius,
         ground_slopes[rows],
         noise[rows, 1],
         bulge,
         blur_px,
-        free,
-        work,
-        sums,
+        (float(free_bulge), float(free_blur)),
+        np.empty((2, offset.shape[1]), np.float32),
+        np.empty((PARAMETERS + 1, offset.shape[1])),
+        np.empty((PARAMETERS + 1, PARAMETERS + 1)),
         p,
         fine,
     )
@@ -176,16 +169,19 @@ def _solve(sums):
 
 @njit(cache=True, fastmath=True)
 def _fit_shapes(
-    signal,
-    use,
-    middle,
+    image,
+    own,
+    others,
+    sites,
     offset,
+    middle,
     radius,
     ground_slopes,
     noise,
     bulge,
     blur,
     free,
+    room,
     work,
     sums,
     parameters,
@@ -194,19 +190,22 @@ def _fit_shapes(
     """Fit all `PARAMETERS` of every marker, from ``parameters`` on, and set ``fine`` where that
     went well.
 
-    Pixels' brightness ``signal`` and weights ``use`` (k, m) are at ``middle`` (k, 2) plus
-    ``offset`` (2, m). ``radius`` (k,) is the marker's at the start, ``noise`` (k,) a pixel's
-    variance.
+    ``offset`` (2, m) are the pixels, number ``middle`` in the middle. ``radius`` (k,) is the
+    marker's at the start, ``noise`` (k,) a pixel's variance.
     ``free`` are 1 or 0 for bulge and blur, which else keep their values ``bulge`` and ``blur``.
-    ``work`` (`PARAMETERS` + 1, m) is room for every pixel's weighted derivatives and residual,
-    ``sums`` for their products: a matrix with the right side as its last row.
+    ``room`` (2, m) is for the pixels and their weights, see `gather`; ``work`` (`PARAMETERS` + 1,
+    m) for every pixel's weighted derivatives and residual, ``sums`` for their products: a matrix
+    with the right side as its last row.
     """
     free_bulge, free_blur = free
     fixed = (1.0 - free_bulge) * bulge
-    for k in range(len(signal)):
-        pixels = signal[k]
-        counts = use[k]
+    colour = (own[0], own[1], own[2], own[3])
+    pixels, counts = room[0], room[1]
+    for k in range(len(parameters)):
         p = parameters[k]
+        column, row = int(np.rint(p[0])), int(np.rint(p[1]))
+        gather(image, colour, others, sites, column, row, offset, NO_RUNS, pixels, counts)
+        p[3] = pixels[middle]
         r = radius[k]
         moved = 1.0
         good = True
@@ -228,8 +227,8 @@ def _fit_shapes(
             yy /= determinant
             root = 1e-3 * math.sqrt(xx)
             per_blur = 1.0 / p[10]
-            apart_x = middle[k, 0] - p[0]
-            apart_y = middle[k, 1] - p[1]
+            apart_x = column - p[0]
+            apart_y = row - p[1]
             ground = p[2]
             ground_x = ground_slopes[k, 0]
             ground_y = ground_slopes[k, 1]
@@ -449,7 +448,7 @@ class Expected:
         cover, residual, information, expected_square = pixels.transpose(1, 0, 2)
         squares = (residual**2 * used / expected_square).sum(axis=1)
         covariance = np.linalg.inv(matrix)
-        every = np.maximum(information.sum(axis=1) * templates.sites.mean(), 1e-9)
+        every = np.maximum(information.sum(axis=1) * templates.measured, 1e-9)
         fitted = np.full((len(rows), COLUMNS), np.nan)
         fitted[:, CENTRE], fitted[:, LEVEL], fitted[:, GROUND] = (
             fit[:, CENTRE],

@@ -172,7 +172,7 @@ class ShiftErrors:
         """How many times as large as by single pixels' noise the errors of centres are, by the
         edges or the bare ground."""
         factor = 1.0
-        share = float(self.templates.sites.mean())  # edges sampled too coarsely err alike
+        share = self.templates.measured  # edges sampled too coarsely err alike
         if self.templates.coherent or self.bare or share < 1.0:
             factor = self._coherence_of_edges()
         if share < 1.0 and self.templates.usual_radius_px * np.sqrt(share) < COARSE_PX:

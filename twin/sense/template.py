@@ -704,6 +704,11 @@ class Templates:
         return float(np.sqrt(self.usual_shape[0] * self.usual_shape[2]))
 
     @cached_property
+    def measured(self) -> float:
+        """Share of the pixels that a camera with a colour mosaic has measured; 1 without."""
+        return float(self.sites.mean())
+
+    @cached_property
     def third(self) -> Floats:
         """(n, 2) third harmonic of the edge at rest, px."""
         return np.ascontiguousarray(self.rest[:, THIRD])
