@@ -55,9 +55,6 @@ def test_every_benchmark_has_a_function_that_measures() -> None:
     assert named == {name for name, text in texts.items() if re.search(r"^def measure\(", text, re.MULTILINE)}
 
 
-# --- comparing programs by error and time ---------------------------------------------------------
-
-
 SIZES = st.floats(1e-6, 1e3)
 RUNS = st.lists(st.tuples(SIZES, SIZES), max_size=12)
 
@@ -84,9 +81,6 @@ def test_a_goal_beyond_the_best_run_is_not_reached_and_one_below_the_first_costs
     assert seconds_to(runs, 0.0009) is None
     assert seconds_to(runs, 0.5) == 1.0
     assert seconds_to([], 0.5) is None
-
-
-# --- what tells a right refusal for want of friction ----------------------------------------------
 
 
 FLAT = Block(width_mm=40, length_mm=40, thickness_mm=20)

@@ -219,9 +219,6 @@ def test_beside_a_dent_errors_are_of_the_faces_that_are_there(tmp_path):
         assert np.linalg.norm(missed) < 0.05  # mm, of E = 1 MPa
 
 
-# --- the dome's elastic field ---------------------------------------------------------------------
-
-
 TRUTH = np.load(REFERENCE / "dome.npz")
 CASES = json.loads(str(TRUTH["cases"]))
 

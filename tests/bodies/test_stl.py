@@ -170,9 +170,6 @@ def test_corners_that_differ_by_rounding_are_welded():
         Surface.welded(dome + 1e3 * noise, "it")
 
 
-# --- distances to triangulated pieces -------------------------------------------------------------
-
-
 def spread(corners, count):
     """Return points all over triangles, with weights of a lattice: brute force."""
     i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")

@@ -141,9 +141,6 @@ def test_a_checkerboard_tells_the_camera(tmp_path: Path) -> None:
     assert found["width_px"] == 640
 
 
-# --- tutorials ------------------------------------------------------------------------------------
-
-
 DOCS = Path(__file__).parents[2] / "docs"
 
 

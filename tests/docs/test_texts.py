@@ -31,9 +31,6 @@ def test_the_way_of_a_press_names_files():
         assert (ROOT / "twin" / file).is_file(), file
 
 
-# --- the readme's python blocks run ---------------------------------------------------------------
-
-
 README = (ROOT / "README.md").read_text()
 
 
@@ -48,9 +45,6 @@ def test_no_text_asks_to_install_what_no_index_has() -> None:
     """The distribution is on no package index: extras are installed by their own names, or from a checkout."""
     texts = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "twin").rglob("*.py")]
     assert not [str(path) for path in texts if "install 'tactile-twin" in path.read_text()]
-
-
-# --- every public name has an example, and the examples run ---------------------------------------
 
 
 LONG = {"Environment", "Observation", "reconstruct"}
@@ -68,9 +62,6 @@ def test_the_example_of_a_public_name_runs(name: str) -> None:
     lines: list[str] = []
     runner.run(found, out=lines.append)
     assert not runner.failures, "".join(lines)
-
-
-# --- the recipe reference is made from the descriptions -------------------------------------------
 
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -108,9 +99,6 @@ def test_links_lead_somewhere(recipes: str) -> None:
 def test_a_width_is_quoted_or_the_site_shows_it_as_text() -> None:
     sources = [*DOCS.glob("*.md"), *DOCS.glob("*.py")]
     assert not [path.name for path in sources if re.search(r"\{+width=[^\"\\]", path.read_text(encoding="utf-8"))]
-
-
-# --- the page on an own sensor is followed --------------------------------------------------------
 
 
 OWN_SENSOR = (Path(__file__).parents[2] / "docs" / "own_sensor.md").read_text()

@@ -180,9 +180,6 @@ def test_a_piece_on_the_border_of_cells_is_shared() -> None:
     assert cells[:, 2].tolist() == [4.0, 1.0]
 
 
-# --- widths, dips and least distances ------------------------------------------------------------
-
-
 def test_width_of_a_known_bell():
     x = np.linspace(-5, 5, 401)
     assert full_width(x, np.exp(-(x**2) / 2)) == pytest.approx(2 * np.sqrt(2 * np.log(2)), rel=1e-3)

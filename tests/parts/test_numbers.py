@@ -81,9 +81,6 @@ def test_sato_marker_is_about_fifteen_pixels():
     assert 0.5 / apparent_mm_per_px(scene, 0.5) == pytest.approx(15, abs=2)
 
 
-# --- what ``auto`` takes of a scene, and what is refused ------------------------------------------
-
-
 AUTO = {"accuracy.displacement": "auto", "accuracy.contact_patches": "auto"}
 
 
@@ -135,9 +132,6 @@ def test_anything_else_is_refused_by_key(value):
     for key in ("displacement", "contact_patches"):
         with pytest.raises(RecipeError, match=f"accuracy.{key}"):
             load_scene("kamiyama_pillar", {f"accuracy.{key}": value})
-
-
-# --- distributions of a recipe's numbers ----------------------------------------------------------
 
 
 @pytest.mark.parametrize("u", [0.0, 0.2, 0.5, 1.0])

@@ -117,9 +117,6 @@ def test_any_weight_is_survived():
     assert np.linalg.norm(field.force_n) < 1e-4, "a weight beyond all data holds the forces at zero"
 
 
-# --- fields that know where the load is -----------------------------------------------------------
-
-
 def expected_sizes(force, grid):
     """Sizes of the forces around every site, over the largest; 0 where less than 3 % is expected."""
     size = np.sqrt(gaussian_filter((force**2).sum(axis=1).reshape(grid), 1.0, mode="constant").ravel())

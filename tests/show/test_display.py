@@ -165,9 +165,6 @@ def test_run_takes_a_name_with_overrides_and_names_the_nearest(tmp_path) -> None
         twin.run(twin.load_scene("first_press"), overrides={"seed": 2})
 
 
-# --- the numbers of a run in sentences ------------------------------------------------------------
-
-
 SCORE = {
     "elastic": {"largest_displacement_mm": 0.3, "force_error": 5e-17, "contact_over_probe_radius": None},
     "tracking": {"sd_px": 0.02, "matched": 0.95, "gross": 3, "over_bound": 5.0, "markers": 100},

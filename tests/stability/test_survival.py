@@ -60,9 +60,6 @@ def test_only_what_a_dead_writer_left_is_removed(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == kept
 
 
-# --- the results that must not change while the code is rebuilt -----------------------------------
-
-
 @pytest.mark.slow
 def test_results_are_those_that_were_stored(tmp_path):
     """After a change that improves a result, run ``python -m benchmarks frozen store``.
@@ -76,9 +73,6 @@ def test_results_are_those_that_were_stored(tmp_path):
         text=True,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-# --- extreme values -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -113,9 +107,6 @@ def test_extreme_loads_and_pictures_are_computed_or_refused(name: str) -> None:
     tried = [case for case in cases(name) if case[0].startswith(("camera.tilt", "ccd.", "press.steps", "tractions"))]
     became = {f"{key} = {value!r}": outcome(recipe, math.inf) for key, value, recipe in tried}
     assert not {key: what for key, what in became.items() if what.startswith("failed")}
-
-
-# --- full disks, unwritable homes, odd names, other locales, two at once --------------------------
 
 
 SMALL: dict[str, Any] = {

@@ -95,9 +95,6 @@ def test_a_missing_file_is_said(tmp_path: Path) -> None:
         write_intrinsics(Camera(focal_px=500, pupil_mm=(0, 0, 60)), tmp_path / "no" / "where.yml")
 
 
-# --- `twin check rest1 rest2 --scene s` -----------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def pictures():
     scene = twin.load_scene("kamiyama_pillar")
@@ -156,9 +153,6 @@ def test_pictures_that_say_nothing_are_refused(tmp_path):
     Image.fromarray(np.full((240, 320, 3), 30, np.uint8)).save(tmp_path / "small.png")
     with pytest.raises(InputError, match=r"rest\.png, .*small\.png: "):
         check_camera(name, tmp_path / "small.png", twin.load_scene("kamiyama_pillar"))
-
-
-# --- emva 1288 of the program's own flat fields, against the electrons that presets and recipes state
 
 
 @pytest.mark.parametrize("preset", [name for name, values in PRESETS.items() if values["noise"]])

@@ -120,9 +120,6 @@ def test_finger_forces_between_the_calibrated_sites(at_mm, gram_force, probe):
     assert errors[0] <= max(0.10, 1.2 * errors[1])
 
 
-# --- the made sensor ------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_forces_of_one_layer_are_found_where_markers_know_more_than_the_sites() -> None:
     """Fields were .6 to .7 off, as markers next to a force were believed to their noise."""

@@ -87,9 +87,6 @@ def test_a_press_that_moves_nothing_visibly_is_said_once_everywhere(tmp_path, sa
         assert sum(words in line for line in facts["warnings"]) == 1
 
 
-# --- `twin scenes --new` --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "pad",
     [
@@ -173,9 +170,6 @@ def test_a_file_that_is_there_is_kept(tmp_path: Path) -> None:
     with pytest.raises(twin.TwinError, match="is there already"):
         Pad().write(tmp_path / "mine")
     assert (tmp_path / "mine.toml").read_text() == "precious"
-
-
-# --- what is given to the Python interface by mistake is told in the field's terms -----------------
 
 
 PICTURE = np.zeros((48, 64, 3), np.uint8)

@@ -86,9 +86,6 @@ def test_a_thin_pad_of_another_thickness_is_fitted_to_presses_as_wide_as_the_bal
     assert abs(error) < 3 * found.scale_error
 
 
-# --- the fitted design, without pictures ----------------------------------------------------------
-
-
 SCENE = load_scene("sato_press", overrides={"tolerance.distortion": 0.01})
 
 

@@ -52,9 +52,6 @@ def test_a_frictionless_probe_is_not_pushed_sideways() -> None:
     assert "frictionless" in info["problem"]
 
 
-# --- ros 2 messages -------------------------------------------------------------------------------
-
-
 CAMERA = Camera(width_px=4, height_px=3, focal_px=100, aspect=1.1, principal_px=(1.0, 2.0), pupil_mm=(0, 0, 100))
 
 

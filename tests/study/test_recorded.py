@@ -488,9 +488,6 @@ def test_a_folder_is_read_as_it_was_counted(folder):
     assert [row["frame"] for row in rows(folder / "counted.csv")] == names
 
 
-# --- `twin calibrate dir` -------------------------------------------------------------------------
-
-
 HEAD = "frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\n"
 
 

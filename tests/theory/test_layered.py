@@ -63,9 +63,6 @@ def test_a_stiff_sheet_bends_like_a_plate_on_rubber():
     assert got[0, 2] == pytest.approx(length**2 / (3 * np.sqrt(3) * rigidity), rel=0.02)
 
 
-# --- the bonded layer against the layered half-space on rock, its own derivatives, and hooke's law
-
-
 THICKNESS = 2.0
 PAD = Block(width_mm=80, length_mm=80, thickness_mm=THICKNESS)
 INSIDE = np.array([[0.3, 0.2, 0.1], [1.0, -0.4, 1.0], [-2.5, 3.0, 0.4], [0.0, 0.0, 1.7], [9.0, 5.0, 0.7]])

@@ -87,9 +87,6 @@ def test_contacts_and_strains_are_called_known_up_to_the_largest_of_the_study():
         assert law_of(probe, 0.0, sheared=sheared).known_strain == pytest.approx(largest, rel=0.05)
 
 
-# --- the closed forms of contact agree with one another -------------------------------------------
-
-
 RUBBER = {"youngs_modulus_mpa": 0.7, "poisson_ratio": 0.4}
 
 

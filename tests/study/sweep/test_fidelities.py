@@ -62,9 +62,6 @@ def test_noise_over_exposures_is_that_of_theory_and_its_standard_error_that_by_w
         assert abs(few[name] - many[name]) < 5.84 * np.hypot(few[left], many[left]), name
 
 
-# --- the designs that sweeps found tell two pillars 2 mm apart, through contact, pictures and tracker
-
-
 @pytest.mark.slow
 def test_loads_of_a_probe_are_presses_by_any_law_and_with_friction() -> None:
     ball = {"press.probe": {"kind": "sphere", "diameter_mm": 6.0}, "press.friction": 0.5}
@@ -105,9 +102,6 @@ def dip_of(name: str) -> float:
 @pytest.mark.parametrize("body", ["kamiyama", "sato"])
 def test_two_pillars_two_millimetres_apart_are_two(body: str) -> None:
     assert dip_of(f"{body}_two_points") >= DIP
-
-
-# --- the linear information -----------------------------------------------------------------------
 
 
 def _linear(scene: Scene) -> tuple[dict[str, float], Shown]:

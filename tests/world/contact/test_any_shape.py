@@ -263,8 +263,6 @@ def test_a_contact_has_the_same_patches_whatever_lies_in_the_cache(tmp_path, mon
     assert first.force_n[2] == pytest.approx(again.force_n[2], rel=1e-6)
 
 
-# --- contacts that no grid fits at once -----------------------------------------------------------
-
 WIDTH, LENGTH, DEEP = 4.0, 2.5, 0.1
 CORNER = (40.0, 40.0, 0.0)
 

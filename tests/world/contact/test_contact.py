@@ -119,8 +119,6 @@ def test_crossed_curvatures_of_probe_and_finger():
     assert np.ptp(centre[:, 0]) > np.ptp(centre[:, 1])
 
 
-# --- what must hold for every press ---------------------------------------------------------------
-
 SHEARED = (push(0.3), Step(force_n=(0.05, -0.03, 0.3)))
 PRESSES = {
     "sphere": (BLOCK, ball(3, force_n=(0, 0, 0.980665))),
@@ -252,8 +250,6 @@ def test_without_friction_the_shorthand_is_a_guided_push():
     assert state.force_n[0] < -0.02
 
 
-# --- refusals -------------------------------------------------------------------------------------
-
 DEEP = {"indentation_mm": 0.1}
 TWISTED = (push(1.0, torque_nmm=1.0),)
 LOST = (down(0.1), Step(force_n=(0.1, None, 0.0)))
@@ -299,9 +295,6 @@ def test_refusals(body, error, words, probe):
 def test_the_number_of_patches_has_a_range():
     with pytest.raises(InputError, match="6 to 40"):
         pressed(ball(3, force_n=(0, 0, 1)), across=100)
-
-
-# --- grids ----------------------------------------------------------------------------------------
 
 
 def test_a_grid_that_is_too_small_grows(monkeypatch):
@@ -387,9 +380,6 @@ def test_under_a_cover_of_another_material_contacts_with_friction_are_searched(s
     for surface, expected in ((HalfSpace(), 0), (Layered(), 1)):
         pressed(rough, on=surface, across=8)
         assert len(searches) == expected
-
-
-# --- the area of a contact from the polynomial nearest to its squared pressures -------------------
 
 
 SIZE = 2.0

@@ -108,9 +108,6 @@ def test_more_than_friction_carries_is_refused():
         solve_coulomb(problem, np.zeros((K, 3)), PUSHED)
 
 
-# --- the active set -------------------------------------------------------------------------------
-
-
 def small_problem(seed, *, by_force, k=7):
     """Return a problem small enough to try every set of patches, stuck or without friction."""
     rng = np.random.default_rng(seed)

@@ -65,9 +65,6 @@ def shear_motion(state, force, push_n=PUSH, nu=0.5):
     return sheared_motion(state.contact_radius_mm, force, push_n, MU, 1.0, nu)
 
 
-# --- closed forms ---------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("nu", [pytest.param(0.3, marks=SLOW), 0.5])
 @pytest.mark.parametrize("share", [pytest.param(0.3, marks=SLOW), 0.6, 0.9])
 def test_a_sheared_sphere_sticks_inside_and_slips_around(nu, share):
@@ -113,9 +110,6 @@ def test_a_dragged_sphere_slips_everywhere_and_follows(nu):
     assert one.dissipated_nmm <= 0.01 * slid.dissipated_nmm
 
 
-# --- limits ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("nu", [pytest.param(0.3, marks=SLOW), 0.5])
 def test_much_friction_sticks(nu):
     steps = (pushed(), pushed(0.1), pushed(0.1, torque=0.05))
@@ -144,9 +138,6 @@ def test_the_mirror_image_of_a_path():
         assert_allclose(image.move_mm, one.move_mm * [-1, 1, 1], atol=1e-9)
         assert image.slip.sum() == one.slip.sum()
         assert image.dissipated_nmm == pytest.approx(one.dissipated_nmm, abs=1e-10)
-
-
-# --- history --------------------------------------------------------------------------------------
 
 
 @SLOW
@@ -272,9 +263,6 @@ def test_a_slide_that_jumps_where_it_ends_is_met_in_between(monkeypatch):
     assert state.residual <= 1e-8
 
 
-# --- any body -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("probe", [Sphere(diameter_mm=3), Cylinder(diameter_mm=4)])
 def test_a_press_on_the_finger(probe):
     steps = (Step(force_n=(0, 0, 0.3)), Step(force_n=(0.03, -0.05, 0.3)))
@@ -359,9 +347,6 @@ def test_a_sphere_rolls_over_incompressible_rubber_without_a_side_force(force, d
     assert_allclose(centre_of(end) - centre_of(start), [-way, 0.0, 0.0], atol=2.5e-2 * way)
     assert end.indentation_mm == pytest.approx(start.indentation_mm, rel=4e-2)
     assert end.contact_radius_mm == pytest.approx(start.contact_radius_mm, rel=4e-2)
-
-
-# --- slides of many contact widths ----------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("probe", "near"), [(BALL, 8e-3), (FACE, 1e-9)])

@@ -154,8 +154,6 @@ def test_the_normal_part_of_a_compliance_is_that_of_the_whole(nu):
     assert body.normal_surface(Rectangles(**{**vars(cut), "frames": frames})) is None
 
 
-# --- Newton steps by GMRES and its preconditioner, against elimination ----------------------------
-
 PATH = (pushed(z=0.3), pushed(0.05, 0.03, 0.3), pushed(0.05, 0.03, 0.3, torque=0.02))
 ASIDE = {"at_mm": (-3, 1), "steps": PATH}
 

@@ -215,9 +215,6 @@ def test_where_no_markers_are_the_points_below_the_contact_count(wanted):
     assert 1.0 <= stated / (off / most) <= 4.5
 
 
-# --- a sphere on a bonded layer, by rings of pressure and a Hankel kernel -------------------------
-
-
 def discs_on_layer(radii, places, thickness, nu):
     """Return (n, m) how far places sink under discs of unit pressure, times E / (2 (1 - nu^2)), mm.
 

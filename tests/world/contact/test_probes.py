@@ -37,8 +37,6 @@ def sphere_triangles(radius, across):
     return hull(np.array(points))
 
 
-# --- shapes ---------------------------------------------------------------------------------------
-
 SHAPES = {
     "sphere": Sphere(diameter_mm=3),
     "cylinder": Cylinder(diameter_mm=4, edge_mm=0.7),
@@ -99,9 +97,6 @@ def test_a_turn_next_to_nothing_turns_nothing(size):
     still, turned = (here.gap(np.zeros((1, 3)), np.eye(3)[2:], np.array([0, 0, 0, *t])) for t in (0 * turn, turn))
     for one, other in zip(turned, still, strict=True):
         assert_allclose(one, other, atol=1e-15)
-
-
-# --- closed forms on a half-space -----------------------------------------------------------------
 
 
 def test_cone():
@@ -194,9 +189,6 @@ def test_a_stuck_ball_is_turned_about_x_like_it_is_moved():
     assert abs(state.force_n[1]) < 0.02 * turn * 15 * tangential_stiffness(a, 1.0, 0.5)
 
 
-# --- the same problem, stated otherwise -----------------------------------------------------------
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("tilt", [UPRIGHT, (40.0, -20.0, 70.0)])
 def test_an_stl_ball_is_a_ball_however_it_is_turned(tmp_path, tilt):
@@ -276,9 +268,6 @@ def test_three_stuck_turns_superpose_on_a_face():
     assert_allclose(moved(*moves), added, atol=1e-8)
 
 
-# --- several probes -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("apart", [4.0, 40.0])
 def test_two_points_superpose(apart):
     """Each is lowered by what the other's load does at its place (small contacts, far apart)."""
@@ -329,9 +318,6 @@ def test_a_probe_that_sticks_beside_one_that_slips(mixed):
         assert_allclose(one.traction_mpa, other.traction_mpa, atol=1e-8)
         assert_array_equal(one.slip, other.slip)
         assert one.slip.any() == (mu == 0.5)
-
-
-# --- what a result says ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("across", [12, 24])
@@ -397,8 +383,6 @@ def test_a_refused_step_leaves_the_states_before_it(friction):
         pressed(ball(4, friction=friction, indentation_mm=2.5), across=8, increments=2)
     assert refused.value.last_state is None
 
-
-# --- bad input ------------------------------------------------------------------------------------
 
 AWAY = {"direction": (0, -1.0, 0), "steps": (Step(force_n={"y": 1.0}),)}
 TWICE = {"force_n": {"z": 1}, "turn_deg": {"x": 1}, "torque_nmm": {"x": 1}}

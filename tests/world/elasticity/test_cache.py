@@ -142,9 +142,6 @@ def test_the_oldest_fields_make_room(folder, monkeypatch):
     assert sorted(path.name[6] for path in folder.glob("field-*.npy")) == ["a", "d"]
 
 
-# --- the sparse solver ----------------------------------------------------------------------------
-
-
 def saddle(pressures=30, displacements=90):
     rng = np.random.default_rng(5)
     spread = random_array((displacements, displacements), density=0.05, rng=rng)

@@ -251,9 +251,6 @@ def test_no_points_give_no_displacements(name, table):
     assert stiff.to_points(nowhere, load).shape == (0, 3 * len(load))
 
 
-# --- what is kept ---------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def made(monkeypatch):
     """Return references to all that is made of a class: dead ones hold no memory any more."""

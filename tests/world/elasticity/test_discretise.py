@@ -98,9 +98,6 @@ def test_footprints_off_the_surface_are_refused(load, body, word):
         tile(load, body)
 
 
-# --- narrow loads ---------------------------------------------------------------------------------
-
-
 CHART = np.vstack([[0.0, 0.0], np.random.default_rng(3).uniform([-5, -8], [8, 8], (14, 2))])
 KINDS = ("disk", "bump", "rectangle", "twist")
 

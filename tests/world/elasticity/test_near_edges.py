@@ -110,9 +110,6 @@ def test_a_wide_load_is_cut_at_the_edges_it_reaches_only():
     assert inside.cut_at_edges(PAD, lambda places: np.zeros(len(places))) is inside
 
 
-# --- a level refined where a load is steep --------------------------------------------------------
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("nu", [0.3, 0.5])
 def test_beside_an_edge_the_accuracy_is_met_and_estimated(nu):
@@ -180,9 +177,6 @@ def test_an_edge_folded_inwards_is_stated_where_two_meshes_differ_little(at, tmp
     assert relative_error(got, fine.displacement(points, load)) < estimate < 0.02
 
 
-# --- thin bonded blocks ---------------------------------------------------------------------------
-
-
 POINTS = np.array([[x, 0.3 * x, z] for x in (0.0, 0.5, 1.0, 2.0, 3.0) for z in (0.1, 0.3, 0.5, 1.0, 1.6)])
 
 
@@ -213,9 +207,6 @@ def test_every_way_to_ask_gives_the_same_field():
     matrix = stiff.to_points(near, patches)
     assert relative_error((matrix @ patches.force_n.ravel()).reshape(-1, 3), field) < 2e-3
     assert asymmetry(stiff, patches) < 1e-2
-
-
-# --- the finger's back, free or held --------------------------------------------------------------
 
 
 FREE = FINGER

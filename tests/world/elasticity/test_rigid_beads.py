@@ -71,9 +71,6 @@ def test_without_a_stiff_layer_there_is_nothing_to_change():
     assert StiffBeads.of(MarkerSet.place(BODY, layers), layers) is None
 
 
-# --- the option of stiff beads --------------------------------------------------------------------
-
-
 DRAWN = {"tolerance.preset": "none"}
 STIFF = {"markers.red.stiff": True, "markers.blue.stiff": True}
 ASIDE = {"markers.red.offset_mm": [0.2, 0.2], "markers.blue.offset_mm": [0.2, 0.2]}

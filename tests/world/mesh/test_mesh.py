@@ -120,8 +120,6 @@ def test_mid_side_nodes_are_in_vtk_order_and_halfway_on_flat_bodies():
 
 COVERED = with_cover(small_mesh(jitter_mm=0.1), SMALL, 0.5)
 
-# --- files ----------------------------------------------------------------------------------------
-
 
 @pytest.fixture
 def written(tmp_path):
@@ -216,9 +214,6 @@ def test_arrays_that_make_no_mesh_are_refused(tmp_path, change, message):
     replace(mesh, **change(mesh)).write(tmp_path / "m.npz", {})
     with pytest.raises(InputError, match=message):
         Mesh.read(tmp_path / "m.npz")
-
-
-# --- cache and mesher -----------------------------------------------------------------------------
 
 
 def test_a_body_is_built_once_then_cached_and_a_broken_entry_is_mended(own_cache, monkeypatch):

@@ -99,8 +99,6 @@ def test_each_gate_closes_on_its_fault(cube, name):
     assert any(message in line for line in Quality.of(replace(cube, **fault(cube)), CUBE).failures())
 
 
-# --- systems --------------------------------------------------------------------------------------
-
 BLOCK = Block(width_mm=6, length_mm=5, thickness_mm=4)
 FORCE = np.array([[0.3], [-0.2], [1.0]])
 

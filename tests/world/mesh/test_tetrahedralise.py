@@ -128,9 +128,6 @@ def test_what_the_mesher_can_t_survive_never_reaches_it(request_of_block, monkey
         replace(request_of_block, **BAD[name](request_of_block)).solve()
 
 
-# --- the child ------------------------------------------------------------------------------------
-
-
 @pytest.mark.skipif((sys.platform, platform.machine()) != ("linux", "x86_64"), reason="as `Request.solve` says")
 def test_the_same_surface_and_seed_give_the_same_mesh(request_of_block):
     one, same, other = (request_of_block.solve(seed=seed) for seed in (0, 0, 1))

@@ -101,9 +101,6 @@ def test_where_mitsuba_does_not_work_a_path_traced_scene_is_refused(monkeypatch)
         Renderer.method(block().model_copy(update={"renderer": "path"}))
 
 
-# --- scenes for stock Mitsuba ---------------------------------------------------------------------
-
-
 CORNERS = [(x, y, 105.0) for x in (-55.0, 55.0) for y in (-45.0, 45.0)]
 WIDE = {"positions_mm": CORNERS, "radius_mm": 40.0, "ambient": 0.0}
 """Discs so wide that chance finds them."""

@@ -127,9 +127,6 @@ def test_a_picture_of_16_million_pixels():
     assert counts.shape == (4096, 4096, 3)
 
 
-# --- markers as ellipsoids ------------------------------------------------------------------------
-
-
 LAYERS = {
     "red": MarkerLayer(kind="print", depth_mm=0.5, pitch_mm=2.5, diameter_mm=0.5, columns=3, rows=3, colour=(1, 0, 0)),
     "blue": MarkerLayer(kind="bead", depth_mm=2, pitch_mm=2.5, diameter_mm=0.6, columns=2, rows=2, colour=(0, 0, 1)),
