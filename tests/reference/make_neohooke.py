@@ -1,23 +1,33 @@
-"""Makes neohooke.json and dome_neohooke.json: what linear theory leaves out of a press, by NGSolve, by nothing of twin.
+"""Makes the files of neo-Hookean presses: what linear theory leaves out of them, by NGSolve, by nothing of twin.
 
-    python tests/reference/make_neohooke.py slab     # needs ngsolve; minutes
-    python tests/reference/make_neohooke.py dome
+    python tests/reference/make_neohooke.py slab     # or dome, finger, stuck, twisted; needs ngsolve; minutes
 
-solves the presses that a file holds once more. A new one is a row of it with the press alone: ``kind`` and size of the
-probe, ``force_n``, ``law``, ``ratios``, ``poisson_ratio``, the body's size, about how wide the contact gets
-(``reach``), and ``places_mm`` (r, z).
+solves the presses that a file holds once more, at its places, once by linear theory, gap and pressure along the
+undeformed normals, and once at finite strain, the rigid probe against the deformed surface; E = 1 MPa, held below. A
+penalty keeps the two apart. Displacements (also stuck, twisted: forces, torques) are stored, and indentations in mm;
+``own_error`` is how far a check on a coarser mesh moves what is stored, over the largest displacement.
 
-An axisymmetric body, bonded below (E = 1 MPa), carries a rigid probe with a given force and no friction: once by linear
-theory, its gap and its pressure along the undeformed normals, and once as neo-Hookean, Mooney-Rivlin or Yeoh rubber,
-the probe against the deformed surface. The slab has a radius of 47.5 mm, is 40 mm thick or less; the dome is a part of
-a ball. Displacement of order 3 and pressure of order 2. A penalty of 4000 MPa/mm (dome: 2000) keeps the two apart.
-Stored: both displacements (r, z) in mm, the indentations, the radii of the contact (to about 1 % under a sphere:
-Sneddon's exact sphere has 1.0627, 1.6394 and 2.0048 mm), and how far a check moves the difference of the two, over the
-largest displacement: on a coarser mesh, on the slab of a higher order. The stored rows are those of meshes and solvers
-that differ a little from these; those of the 6 mm sphere under 6 N and of rims of 0.1 and 0.05 mm had a penalty of
-2000, and the check of the presses with nu below 0.5 on slabs is of order 3 on a mesh 1.5 times as coarse. A cylinder
-that sticks (``sticks``) is pressed in steps: what has come to touch is held from then on, along the probe's surface
-there, by a spring as stiff.
+* slab, dome: bodies of revolution (radius 47.5 mm, 40 mm thick or less; a part of a ball) under a force without
+  friction; neo-Hookean, Mooney-Rivlin or Yeoh. A new press is a row with ``kind`` and size of the probe, ``force_n``,
+  ``law``, ``ratios``, ``poisson_ratio``, the body's size, about how wide the contact gets (``reach``), and
+  ``places_mm`` (r, z). Displacement of order 3 and pressure of order 2; penalty 4000 MPa/mm (dome: 2000). Stored too:
+  the contact's radii (to about 1 % under a sphere: Sneddon's exact sphere has 1.0627, 1.6394 and 2.0048 mm). The
+  check is of a higher order on the slab. The stored rows are those of meshes and solvers that differ a little from
+  these; those of the 6 mm sphere under 6 N and of rims of 0.1 and 0.05 mm had a penalty of 2000, and the check of the
+  presses with nu below 0.5 on slabs is of order 3 on a mesh 1.5 times as coarse. A cylinder that sticks (``sticks``)
+  is pressed in steps: what has come to touch is held from then on, along the probe's surface there, by a spring as
+  stiff.
+* finger: half of it (y = 0 a plane of symmetry) under a sphere along z at the apex, without friction; order 2 and 1,
+  the penalty raised in steps to 1000 MPa/mm. The stored rows are of a solver that found the depth apart.
+* stuck: half of a round slab of 28 mm radius under a 6 mm sphere that is moved into it and then along x, and sticks:
+  a point that has come to touch is held from then on, in the plane of the sphere's surface there, by a spring to its
+  place on the sphere; so is the gap, by 500 MPa/mm. Order 2 and 1. The linear displacements are under about the same
+  forces, scaled to them. One mesh: on a coarser one the linear path does not converge, so how good it is itself is
+  not known.
+* twisted: the slab under a 6 mm sphere with Coulomb's friction, pressed by 1.5 N, then turned. How points move, and
+  how far they turn, depends on radius and depth alone: plane elements of order 3 and 2. A spring of 1000 MPa/mm holds
+  each point to its place on the sphere, as far as friction carries it; the place moves on after every part of the
+  path. Stored: (outward, around, inward), and which share of the contact slips. The check has three parts of four.
 """
 
 import itertools
@@ -29,11 +39,14 @@ from pathlib import Path
 import ngsolve as ng
 import numpy as np
 from netgen.meshing import MeshingParameters, NgException
-from netgen.occ import Circle, Glue, MoveTo, OCCGeometry
+from netgen.occ import Box, Circle, Cylinder, Glue, HalfSpace, MoveTo, OCCGeometry, Pnt, Sphere, Vec, X, Z
 
 RADIUS, THICK = 47.5, 40.0
 TOUCHED = ng.ds("touched", bonus_intorder=10)
-FILES = {"slab": "neohooke.json", "dome": "dome_neohooke.json"}
+SHEAR = 1.0 / 3.0
+FINGER_MM, FINGER_PENALTIES = (8.0, 8.0, 2.0), (20.0, 60.0, 200.0, 1000.0)
+SLAB_MM, STUCK_SPRING, STUCK_LINEAR_MM = 28.0, 500.0, (0.609112, 0.264518)
+TWIST_SPRING, TWIST_FORCE, TWIST_REACH = 1000.0, 1.5, 1.7
 
 
 def height(case, r):
@@ -105,21 +118,38 @@ def meshed(parts, deep, below=lambda r, z: z):
     return ng.Mesh(OCCGeometry(glued, dim=2).GenerateMesh(maxh=6.0, grading=0.4))
 
 
-def linear_density(grad, p, shear=1.0 / 3.0):
+def linear_density(grad, p, shear=SHEAR):
     """Energy per volume of incompressible rubber (E = 1 MPa) by linear theory; ``p`` is the pressure."""
     strain = 0.5 * (grad + grad.trans)
     return shear * ng.InnerProduct(strain, strain) + p * ng.Trace(grad)
 
 
-def neo_hookean_density(first, ratio, p, shear=1.0 / 3.0):
+def neo_hookean_density(first, ratio, p, shear=SHEAR):
     """The same at finite strain, of the first invariant less 3 and the ratio of volumes."""
     return shear / 2.0 * (first + (ratio - 1.0) ** 2) + (p - shear) * (ratio - 1.0)
 
 
-def at_points(value, store, where):
-    """Return a term's values at the points of a boundary at which ``store`` keeps numbers."""
-    store.Interpolate(value, definedon=where)
-    return store.vec.FV().NumPy().copy()
+class Held:
+    """What is kept at points of the touched surface: which are held, and where on the probe."""
+
+    def __init__(self, mesh, order):
+        self.where = mesh.Boundaries("touched")
+        points = ng.comp.IntegrationRuleSpaceSurface(mesh, order=order, definedon=self.where)
+        self.ds = ng.ds(definedon=self.where, intrules=points.GetIntegrationRules())
+        *self.anchor, self.on, self.value = (ng.GridFunction(points) for _ in range(5))
+
+    def at_points(self, term):
+        self.value.Interpolate(term, definedon=self.where)
+        return self.value.vec.FV().NumPy().copy()
+
+    def remember(self, touches, places, slips=False):
+        """Hold what touches at its places; what was held before stays where it was, unless it slips."""
+        touches, *found = (self.at_points(term) for term in (touches, *places))
+        on = self.on.vec.FV().NumPy()
+        new = (touches > 0.5) & (slips | (on < 0.5))
+        for anchor, place in zip(self.anchor, found, strict=False):
+            anchor.vec.FV().NumPy()[new] = place[new]
+        on[:] = touches > 0.5
 
 
 def half_mesh(body, names, places, fine, near, **settings):
@@ -186,23 +216,21 @@ class Press:
         softness = (1.0 - 2.0 * nu) * (1.0 + nu) / nu + 1e-7
         form += ng.Variation((weight * (density - softness / 2.0 * p * p)).Compile() * ng.dx(bonus_intorder=4))
         if case.get("sticks"):
-            form += ng.Variation(self.spring(u, d) * weight * penalty / 2.0 * self.ds)
+            self.held = Held(mesh, 8)
+            form += ng.Variation(self.spring(u, d) * weight * penalty / 2.0 * self.held.ds)
         area = ng.Integrate(weight * TOUCHED, mesh)
         form += -weight * self.force / area * e * TOUCHED
         self.form = form
 
     def spring(self, moved, depth):
         """The square of how far points that touch are from where they came to, along the cylinder's surface."""
-        points = ng.comp.IntegrationRuleSpaceSurface(self.mesh, order=8, definedon=self.mesh.Boundaries("touched"))
-        self.ds = ng.ds(definedon=self.mesh.Boundaries("touched"), intrules=points.GetIntegrationRules())
-        self.held = [ng.GridFunction(points) for _ in range(3)]
-        r, z, on = self.held
+        r, z, _ = self.held.anchor
         over = r - (self.case["diameter_mm"] / 2.0 - self.case["edge_mm"])
         sine = 0.0 if self.linear else ng.IfPos(over, over / self.case["edge_mm"], 0.0)
         cosine = ng.sqrt(1.0 - ng.IfPos(sine - 0.99, 0.98, sine * sine))
         here = self.own(moved, depth)
         away = (here[0] - r) * cosine - (here[1] - z) * sine
-        return on * ng.IfPos(self.inside(moved, depth), 1.0, 0.0) * away * away
+        return self.held.on * ng.IfPos(self.inside(moved, depth), 1.0, 0.0) * away * away
 
     def own(self, moved, depth):
         """Where points are from the probe's lowest point; by linear theory how far they moved along r."""
@@ -210,14 +238,8 @@ class Press:
 
     def remember(self):
         """Hold what has come to touch."""
-        u, depth, found = self.state.components[0], float(self.state.components[2].vec[0]), []
-        for value in (*self.own(u, depth), ng.IfPos(self.inside(u, depth), 1.0, 0.0)):
-            at = ng.GridFunction(self.held[0].space)
-            at.Interpolate(value, definedon=self.mesh.Boundaries("touched"))
-            found.append(at.vec.FV().NumPy())
-        r, z, on = (one.vec.FV().NumPy() for one in self.held)
-        new = (found[2] > 0.5) & (on < 0.5)
-        r[new], z[new], on[:] = found[0][new], found[1][new], found[2]
+        u, depth = self.state.components[0], float(self.state.components[2].vec[0])
+        self.held.remember(ng.IfPos(self.inside(u, depth), 1.0, 0.0), self.own(u, depth))
 
     def normal(self):
         """The undeformed normal, into the rubber."""
@@ -314,22 +336,328 @@ def pair(case, order, mesh):
     return straight.found(), bent.found()
 
 
-def main(body):
-    file = Path(__file__).with_name(FILES[body])
-    stored = json.loads(file.read_text())
-    make, check = {"slab": (slab, (4, 1.4)), "dome": (dome, (3, 1.6))}[body]
-    for case in stored["cases"]:
-        (straight, bent), coarse = pair(case, 3, make(case, 1.0)), pair(case, check[0], make(case, check[1]))
+class FingerPress:
+    """A sphere's press at the apex of half the finger, by linear theory or not; its depth is an unknown."""
+
+    def __init__(self, case, mesh, order, linear):
+        self.case, self.mesh = case, mesh
+        moves = ng.VectorH1(mesh, order=order, dirichlet="held", dirichlety="held|mirror")
+        space = moves * ng.H1(mesh, order=order - 1) * ng.NumberSpace(mesh)
+        self.state, self.penalty = ng.GridFunction(space), ng.Parameter(0.0)
+        (u, p, d), (v, _, e) = space.TnT()
+        form, grad, ball = ng.BilinearForm(space), ng.Grad(u), case["diameter_mm"] / 2.0
+        touched, place = ng.ds("touched", bonus_intorder=12), ng.CF((ng.x, ng.y, ng.z))
+        own = place - ng.CF((0.0, 0.0, d - ball))
+        if linear:
+            density = linear_density(grad, p)
+            core = ng.CF((ng.IfPos(ng.x, 0.0, ng.x), 0.0, FINGER_MM[0]))
+            inward = (core - place) / ng.Norm(core - place)
+            ahead = own * inward
+            root = ahead * ahead - own * own + ball**2
+            gap = ng.IfPos(root - 1e-3, ahead - ng.sqrt(ng.IfPos(root - 1e-3, root, 1e-3)), 10.0) + u * inward
+            form += self.penalty * ng.IfPos(-gap, -gap, 0.0) * (inward[2] * e - inward * v) * touched
+        else:
+            f, own = ng.Id(3) + grad, own + u
+            density = neo_hookean_density(ng.InnerProduct(f, f) - 3.0, ng.Det(f), p)
+            gap = ng.sqrt(own * own) - ball
+            inside = ng.IfPos(-gap, gap, 0.0)
+            form += ng.Variation(self.penalty / 2.0 * inside * inside * touched)
+        # A tiny compressibility, 1e-7, is added: the saddle point is then regular.
+        form += ng.Variation((density - 0.5e-7 * p * p) * ng.dx(bonus_intorder=4))
+        area = ng.Integrate(ng.CF(1.0) * touched, mesh)
+        form += -0.5 * case["force_n"] / area * e * touched
+        self.form = form
+
+    def found(self, penalties):
+        """Return displacements at the places, and the depth, with one penalty after the other."""
+        for value in penalties:
+            self.penalty.Set(value)
+            newton(self.form, self.state)
+        moved, _, depth = self.state.components
+        return np.array([moved(self.mesh(*place)) for place in self.case["places_mm"]]), float(depth.vec[0])
+
+
+def finger(_, fine):
+    """The half y >= 0 of the finger, elements small under the apex."""
+    radius, barrel, skirt = FINGER_MM
+    centre = Pnt(0, 0, radius)
+    tip = Sphere(centre, radius) * HalfSpace(Pnt(0, 0, 0), Vec(-1, 0, 0))
+    top = Cylinder(Pnt(-barrel, 0, radius), X, radius, barrel) + tip
+    top = top * Box(Pnt(-barrel, 0, -1), Pnt(radius + 1, radius + 1, radius))
+    below = Box(Pnt(0, 0, radius), Pnt(radius + 1, radius + 1, radius + skirt))
+    base = Cylinder(centre, Z, radius, skirt) * below + Box(Pnt(-barrel, 0, radius), Pnt(0, radius, radius + skirt))
+    names = {
+        "held": lambda low, high: min(low.z, high.z) > radius + skirt - 1e-3,
+        "back": lambda low, high: max(low.x, high.x) < -barrel + 1e-3,
+        "touched": lambda low, high: min(low.z, high.z) < 1e-3,
+    }
+    dense = [(r, z, 0.06 * r * r) for r in np.arange(0.0, 2.6, 0.4) for z in np.arange(0.0, 2.2, 0.4)]
+    return half_mesh(top + base, names, dense, fine, 1.3, maxh=2.5).Curve(2)
+
+
+def finger_pair(case, order, mesh):
+    """Return displacements and depth by linear theory, and at finite strain, which begins there."""
+    straight, bent = (FingerPress(case, mesh, order, linear) for linear in (True, False))
+    straight.state.components[2].vec[0] = 0.3
+    found = straight.found(FINGER_PENALTIES[::3])
+    bent.state.vec.data = straight.state.vec
+    bent.state.components[2].vec[0] += 0.06
+    return found, bent.found(FINGER_PENALTIES)
+
+
+def once_more(stored, pair, make, check):
+    """Solve every press of a file, and a check of it on a mesh that is so much coarser."""
+    for row in stored["cases"]:
+        case = {key: stored[key] for key in ("diameter_mm", "places_mm") if key in stored} | row
+        (straight, bent), coarse = (pair(case, order, make(case, fine)) for order, fine in check)
         most = np.linalg.norm(straight[0], axis=1).max()
         other = coarse[1][0] - coarse[0][0] - (bent[0] - straight[0])
-        for name, (moved, depth, radius) in (("_linear", straight), ("", bent)):
-            case["linear_mm" if name else "strained_mm"] = moved.round(7).tolist()
-            case |= {f"indentation{name}_mm": depth, f"contact{name}_mm": radius}
-        case["own_error"] = float(np.linalg.norm(other, axis=1).max() / most)
-        print({key: value for key, value in case.items() if not isinstance(value, list)}, flush=True)
-    file.write_text(json.dumps(stored) + "\n")
+        for name, (moved, depth, *radius) in (("_linear", straight), ("", bent)):
+            row["linear_mm" if name else "strained_mm"] = moved.round(7).tolist()
+            row |= {f"indentation{name}_mm": depth} | {f"contact{name}_mm": each for each in radius}
+        row["own_error"] = float(np.linalg.norm(other, axis=1).max() / most)
+        print({key: value for key, value in row.items() if not isinstance(value, list)}, flush=True)
+
+
+class Stuck:
+    """The path of a sphere that sticks on one mesh, by linear theory or not."""
+
+    def __init__(self, stored, mesh, linear):
+        self.stored, self.mesh, self.linear = stored, mesh, linear
+        moves = ng.VectorH1(mesh, order=2, dirichlet="held", dirichlety="held|mirror")
+        self.space = moves * ng.H1(mesh, order=1)
+        self.count, self.state, self.held = moves.ndof, ng.GridFunction(self.space), Held(mesh, 5)
+        self.aside, self.deep, self.stiff = (ng.Parameter(x) for x in (0.0, 0.0, 1.0))
+        (u, p), form = self.space.TrialFunction(), ng.BilinearForm(self.space, symmetric=True)
+        grad = ng.Grad(u)
+        if linear:
+            density, self.normal = linear_density(grad, p), ng.CF((0.0, 0.0, 1.0))
+        else:
+            f, held = ng.Id(3) + grad, ng.CF(tuple(self.held.anchor))
+            density = neo_hookean_density(ng.InnerProduct(f, f) - 3.0, ng.Det(f), p)
+            self.normal = held / ng.sqrt(held * held + 1e-12)
+        # The saddle point is factored without pivots: a tiny compressibility, 1e-7, is added.
+        form += ng.Variation((density - 0.5e-7 * p * p) * ng.dx(bonus_intorder=3))
+        gap, pulled = self.gap(u), self.pulled(u)
+        square = ng.IfPos(-gap, gap * gap, 0.0) + self.held.on * ng.IfPos(-gap, pulled * pulled, 0.0)
+        self.form = form
+        self.form += ng.Variation(self.stiff * STUCK_SPRING / 2.0 * square * self.held.ds)
+
+    def own(self, moved):
+        """Places from the sphere's middle."""
+        middle = ng.CF((self.aside, 0.0, self.deep - self.stored["diameter_mm"] / 2.0))
+        return ng.CF((ng.x, ng.y, ng.z)) + moved - middle
+
+    def gap(self, moved):
+        if self.linear:
+            return height(self.stored, ng.sqrt(ng.x * ng.x + ng.y * ng.y)) + moved[2] - self.deep
+        own = self.own(moved)
+        return ng.sqrt(own * own) - self.stored["diameter_mm"] / 2.0
+
+    def pulled(self, moved):
+        """How far points are from their places on the sphere, along its surface."""
+        away = self.own(moved) - ng.CF(tuple(self.held.anchor))
+        return away - (away * self.normal) * self.normal
+
+    def settle(self, tolerance):
+        right, step = self.state.vec.CreateVector(), self.state.vec.CreateVector()
+        for _ in range(40):
+            self.form.AssembleLinearization(self.state.vec)
+            self.form.Apply(self.state.vec, right)
+            step.data = self.form.mat.Inverse(self.space.FreeDofs(), inverse="sparsecholesky") * right
+            size = float(np.abs(step.FV().NumPy()[: self.count]).max())
+            self.state.vec.data -= min(1.0, 0.15 / max(size, 1e-30)) * step
+            if size < tolerance:
+                return
+        raise RuntimeError(f"left {size}")
+
+    def reached(self):
+        """Return the force along x and z, N, and the displacements, mm."""
+        moved = self.state.components[0]
+        gap, own = self.gap(moved), self.own(moved)
+        normal = self.normal if self.linear else own / ng.sqrt(own * own)
+        force = ng.IfPos(-gap, -gap, 0.0) * normal - self.held.on * ng.IfPos(-gap, 1, 0) * self.pulled(moved)
+        total = [2.0 * STUCK_SPRING * ng.Integrate(force[k] * self.held.ds, self.mesh) for k in (0, 2)]
+        return total, np.array([[*moved(self.mesh(*place))] for place in self.stored["places_mm"]])
+
+    def take(self, deep, aside, parts):
+        """Return what is reached by pressing, and by moving along x from there."""
+        found = []
+        for part in range(1, sum(parts) + 1):
+            pressing = part <= parts[0]
+            self.deep.Set(deep * (min(part, parts[0]) / parts[0]) ** 2)
+            self.aside.Set(aside * max(part - parts[0], 0) / parts[1])
+            softer = ((0.05, 1e-2), (0.25, 3e-3)) if pressing else ()
+            for stiff, tolerance in (*softer, (1.0, 3e-6)):
+                self.stiff.Set(stiff)
+                self.settle(tolerance)
+            moved = self.state.components[0]
+            self.held.remember(ng.IfPos(-self.gap(moved), 1.0, 0.0), self.own(moved))
+            found.append(self.reached())
+            print("pressed" if pressing else "moved", part, found[-1][0], flush=True)
+        return found[parts[0] - 1], found[-1]
+
+
+def half_slab(fine):
+    """The half y >= 0 of a round slab, elements small under the sphere."""
+    wide = SLAB_MM + 1
+    body = Cylinder(Pnt(0, 0, 0), Z, SLAB_MM, THICK) * Box(Pnt(-wide, 0, 0), Pnt(wide, wide, THICK))
+    names = {"touched": lambda low, high: high.z < 1e-3, "held": lambda low, high: low.z > THICK - 1e-3}
+    dense = [(r, z, 0.0) for r in np.arange(0.0, 2.9, 0.4) for z in np.arange(0.0, 2.4, 0.4)]
+    return half_mesh(body, names, dense, fine, 1.8, maxh=9.0)
+
+
+def stuck(stored):
+    """Solve the steps at finite strain, and by linear theory under the same forces."""
+    mesh = half_slab(0.5)
+    bent = Stuck(stored, mesh, linear=False).take(*stored["motion_mm"], (8, 4))
+    straight = Stuck(stored, mesh, linear=True).take(*STUCK_LINEAR_MM, (4, 1))
+    press, side = bent[0][0][1] / straight[0][0][1], bent[1][0][0] / straight[1][0][0]
+    assert abs(press - 1.0) < 0.03, press
+    assert abs(side - 1.0) < 0.05, side
+    pressed, added = press * straight[0][1], side * (straight[1][1] - straight[0][1])
+    linear = [pressed, bent[1][0][1] / bent[0][0][1] * pressed + added]
+    stored["motion_linear_mm"] = STUCK_LINEAR_MM[0] * press ** (2.0 / 3.0), STUCK_LINEAR_MM[1] * side
+    stored["steps"] = [
+        {"force_n": force, "linear_mm": straight.round(7).tolist(), "strained_mm": strained.round(7).tolist()}
+        for (force, strained), straight in zip(bent, linear, strict=True)
+    ]
+
+
+class Twisted:
+    """The path of a sphere that is pressed and turned on one mesh, by linear theory or not."""
+
+    def __init__(self, stored, mesh, linear):
+        self.stored, self.mesh, self.linear, self.held = stored, mesh, linear, Held(mesh, 8)
+        moves = ng.VectorH1(mesh, order=3, dirichletx="held|axis", dirichlety="held")
+        space = moves * ng.H1(mesh, order=3, dirichlet="held") * ng.H1(mesh, order=2) * ng.NumberSpace(mesh)
+        self.state = ng.GridFunction(space)
+        self.state.components[3].vec[0] = 0.1
+        self.turned, self.friction, self.push = (ng.Parameter(x) for x in (0.0, stored["friction"], 0.0))
+        (u, t, p, d), (v, s, _, e) = space.TnT()
+        weight, r = 2.0 * math.pi * ng.x, ng.x
+        grad, slope, hoop = ng.Grad(u), ng.Grad(t), u[0] / ng.x
+        form = ng.BilinearForm(space)
+        if linear:
+            energy = linear_density(grad, p) + SHEAR * (hoop * hoop + 0.5 * r * r * (slope * slope)) + p * hoop
+        else:
+            f = ng.Id(2) + grad
+            ratio = ng.Det(f) * (1.0 + hoop)
+            first = ng.InnerProduct(f, f) + (1.0 + hoop) ** 2 + (r + u[0]) ** 2 * (slope * slope) - 3.0
+            energy = neo_hookean_density(first, ratio, p)
+        form += ng.Variation(weight * energy * ng.dx(bonus_intorder=4))
+        found = self.contact(u, t, d)
+        pull, around = found["pull"], found["around"]
+        form += weight * (pull[1] * e - pull * v - around * self.radius(u) * s) * self.held.ds
+        form += -weight * self.push / (math.pi * RADIUS**2) * e * ng.ds("touched")
+        self.form = form
+
+    def radius(self, u):
+        """How far points are from the axis."""
+        return ng.x if self.linear else ng.x + u[0]
+
+    def contact(self, u, t, d):
+        """What acts on the rubber per area, how far friction carries, and the places on the sphere to remember."""
+        ball, (outward, inward, turn) = self.stored["diameter_mm"] / 2.0, self.held.anchor
+        if self.linear:
+            gap, normal, own = height(self.stored, ng.x) + u[1] - d, ng.CF((0.0, 1.0)), u
+        else:
+            own = ng.CF((ng.x + u[0], ng.y + u[1] - d + ball))
+            size = ng.sqrt(own * own)
+            gap, normal = size - ball, own / size
+        angle, along = t - self.turned, ng.CF((normal[1], -normal[0]))
+        away = (own - ng.CF((outward, inward))) * along
+        around = self.radius(u) * (angle - turn)
+        far = ng.sqrt(away * away + around * around + 1e-18)
+        pressure = 4000.0 * ng.IfPos(-gap, -gap, 0.0)
+        most = self.friction * pressure / TWIST_SPRING
+        share = self.held.on * ng.IfPos(far - most, most / far, 1.0)
+        touches = ng.IfPos(-gap, 1.0, 0.0)
+        back = own - share * away * along
+        return {
+            "pull": pressure * normal - TWIST_SPRING * share * away * along,
+            "around": -TWIST_SPRING * share * around,
+            "touches": touches,
+            "slips": self.held.on * touches * ng.IfPos(1.0 - 1e-7 - share, 1.0, 0.0),
+            "kept": (back[0], back[1], angle - share * around / (self.radius(u) + 1e-9)),
+        }
+
+    def reached(self):
+        """Return what is stored of a step; hold what touches where it is, where it slips as far as friction carries."""
+        u, t, _, depth = self.state.components
+        d = float(depth.vec[0])
+        found = self.contact(u, t, d)
+
+        def total(value):
+            return float(ng.Integrate(2.0 * math.pi * ng.x * value * self.held.ds, self.mesh))
+
+        moved = []
+        for r, z in self.stored["places_mm"]:
+            here = self.mesh(max(r, 1e-6), z)
+            (out, down), turn = u(here), t(here)
+            far = r if self.linear else r + out
+            ahead = (out, far * turn) if self.linear else (far * math.cos(turn) - r, far * math.sin(turn))
+            moved.append([*ahead, down])
+        row = {
+            "force_n": total(found["pull"][1]),
+            "torque_nmm": total(found["around"] * self.radius(u)),
+            "indentation_mm": d,
+            "slipping": total(found["slips"]) / total(found["touches"]),
+            "moved_mm": np.round(moved, 7).tolist(),
+        }
+        self.held.remember(found["touches"], found["kept"], slips=True)
+        return row
+
+    def take(self, parts):
+        """Return what is stored of the press and of every turn."""
+        for part in range(1, parts[0] + 1):
+            self.push.Set(TWIST_FORCE * (part / parts[0]) ** 1.5)
+            newton(self.form, self.state)
+            found = [self.reached()]
+        for past, turn in itertools.pairwise(np.radians(self.stored["turns_deg"])):
+            for part in range(1, parts[1] + 1):
+                self.turned.Set(past + (turn - past) * part / parts[1])
+                # All sticks at first; then friction carries less and less.
+                for more in (1e4, 8.0, 3.0, 1.5, 1.0):
+                    self.friction.Set(self.stored["friction"] * more)
+                    newton(self.form, self.state, 1e-9 if more == 1.0 else 1e-5)
+                reached = self.reached()
+            found.append(reached)
+        return found
+
+
+def twisted_slab(fine):
+    """The half section (r, depth), elements small under the sphere."""
+    near = box(3.0 * TWIST_REACH, 3.0 * TWIST_REACH, 0.4 * TWIST_REACH * fine)
+    inner = box(1.1 * TWIST_REACH, 0.35 * TWIST_REACH, 0.05 * TWIST_REACH * fine)
+    return meshed([box(RADIUS, THICK, 6.0) - near, near - inner, inner], THICK)
+
+
+def twisted(stored):
+    """Solve the path by linear theory and at finite strain, and this on a coarser mesh."""
+    for name, linear in (("linear", True), ("strained", False)):
+        stored[name] = Twisted(stored, twisted_slab(1.0), linear).take((8, 4))
+    coarse = Twisted(stored, twisted_slab(1.5), False).take((6, 3))
+    stored["own_error"] = []
+    for fine, other in zip(stored["strained"], coarse, strict=True):
+        here, there = np.array(fine["moved_mm"]), np.array(other["moved_mm"])
+        off = np.linalg.norm(here - there, axis=1).max() / np.linalg.norm(here, axis=1).max()
+        stored["own_error"].append(float(off))
+
+
+MAKERS = {
+    "slab": ("neohooke", lambda stored: once_more(stored, pair, slab, ((3, 1.0), (4, 1.4)))),
+    "dome": ("dome_neohooke", lambda stored: once_more(stored, pair, dome, ((3, 1.0), (3, 1.6)))),
+    "finger": ("finger_neohooke", lambda stored: once_more(stored, finger_pair, finger, ((2, 0.1), (2, 0.14)))),
+    "stuck": ("stuck_neohooke", stuck),
+    "twisted": ("twisted_neohooke", twisted),
+}
 
 
 if __name__ == "__main__":
     ng.SetNumThreads(1)
-    main(sys.argv[1])
+    name, make = MAKERS[sys.argv[1]]
+    file = Path(__file__).with_name(f"{name}.json")
+    stored = json.loads(file.read_text())
+    make(stored)
+    file.write_text(json.dumps(stored) + "\n")

@@ -179,47 +179,38 @@ def test_a_step_moves_the_probe_of_the_press_before_on(environment: twin.Environ
 BALL = twin.Sphere(diameter_mm=6)
 
 
+NEO_HOOKEAN = {"material.law": "neo_hookean"}
+
+
+def move(seconds: float = 0.0, **move_mm: float) -> twin.Step:
+    return twin.Step(move_mm=move_mm, seconds=seconds)
+
+
+def push(**force_n: float) -> twin.Step:
+    return twin.Step(force_n=force_n)
+
+
 @pytest.mark.parametrize(
-    ("overrides", "press", "steps"),
+    ("overrides", "friction", "steps"),
     [
-        (
-            {},
-            {"friction": 0.4, "steps": [twin.Step(move_mm={"z": 0.3})]},
-            [
-                {"move_mm": {"x": 0.1}},
-                {"move_mm": {"x": -0.05, "z": -0.1}},
-                {"force_n": {"z": 0}},
-                {"move_mm": {"z": 0.1}},
-            ],
-        ),
+        ({}, 0.4, [move(z=0.3), move(x=0.1), move(x=-0.05, z=-0.1), push(z=0.0), move(z=0.1)]),
         (
             {"material.relaxation": [{"share": 0.2, "time_s": 0.5}]},
-            {"friction": 0.4, "steps": [twin.Step(move_mm={"z": 0.3}, seconds=0.2)]},
-            [{"seconds": 0.5}, {"move_mm": {"x": 0.1}, "seconds": 0.1}, {"move_mm": {"z": -0.2}, "seconds": 0.3}],
+            0.4,
+            [move(0.2, z=0.3), twin.Step(seconds=0.5), move(0.1, x=0.1), move(0.3, z=-0.2)],
         ),
-        (
-            {"material.law": "neo_hookean"},
-            {"steps": [twin.Step(force_n={"z": 0.8})]},
-            [{"force_n": {"z": 0.5}}],
-        ),
-        pytest.param(
-            {"material.law": "neo_hookean"},
-            {"friction": 0.5, "steps": [twin.Step(force_n={"z": 1.0})]},
-            [{"force_n": {"z": 1.0, "x": 0.2}}, {"force_n": {"z": 1.0, "x": 0.1}}],
-            marks=pytest.mark.slow,
-        ),
+        (NEO_HOOKEAN, 0.0, [push(z=0.8), push(z=0.5)]),
+        pytest.param(NEO_HOOKEAN, 0.5, [push(z=1.0), push(z=1.0, x=0.2), push(z=1.0, x=0.1)], marks=pytest.mark.slow),
     ],
 )
-def test_a_path_that_goes_on_is_solved_from_where_it_ended(
-    overrides: dict[str, object], press: dict[str, object], steps: list[dict[str, object]]
-) -> None:
+def test_a_path_that_goes_on_is_solved_from_where_it_ended(overrides, friction, steps):
     sensor = twin.Sensor(twin.load_scene("kamiyama_pillar", QUICK | overrides))
     points = sensor.actual.markers.points
     memory = PathMemory()
-    path = twin.Press(probe=BALL, **press)
+    path = twin.Press(probe=BALL, friction=friction, steps=steps[:1])
     before = sensor.press(path, memory)
-    for step in steps:
-        path = path.model_copy(update={"steps": (*path.steps, twin.Step(**step))})
+    for step in steps[1:]:
+        path = path.model_copy(update={"steps": (*path.steps, step)})
         state = sensor.press(path, memory)
         whole = sensor.press(path)
         assert state.force_n == pytest.approx(whole.force_n, rel=1e-9, abs=1e-12)
