@@ -29,19 +29,6 @@ def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path, monkeypatch: p
     assert not (tmp_path / "d").exists(), "nothing is left of what was never begun"
 
 
-def test_tls_files_are_given_together_and_exist(tmp_path, says):
-    there = tmp_path / "there.pem"
-    there.write_text("")
-    for options, words in (
-        (["--scheduler", "tls://here:1"], "needs --tls-ca, --tls-cert, --tls-key"),
-        (["--scheduler", "tls://here:1", "--tls-ca", str(there)], "needs --tls-cert, --tls-key"),
-        (["--scheduler", "tcp://here:1", "--tls-ca", str(there)], "must start with tls://"),
-        (["--scheduler", "tls://here:1", "--tls-key", "none.pem"], "--tls-key none.pem: there is no such file"),
-        (["--tls-ca", str(there)], "belong to --scheduler"),
-    ):
-        assert words in says(2, "dataset", "dataset_kamiyama", "--samples", "2", "--out", str(tmp_path / "d"), *options)
-
-
 def test_processes_that_can_not_be_started_are_told_with_the_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     def failing(process: object) -> None:
         raise OSError(11, "no processes left")
