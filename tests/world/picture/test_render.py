@@ -124,6 +124,11 @@ def test_a_marker_shadows_the_one_behind_it(scene, variant):
     beside = renderer.radiance(beads([(0, 0, 3), tuple(on_the_way * [-1, 1, 1])]))[row, column, 0]
     assert beside == pytest.approx(alone, rel=1e-4)
     assert behind == pytest.approx(0.1 * alone / (0.1 + 0.9 * 0.97), rel=0.1)
+    # Light that just misses a marker half-way is still taken by the one behind it.
+    missed = tuple(0.5 * on_the_way + np.array([0, 1.02 * 0.25, 1.5]))
+    assert renderer.radiance(beads([(0, 0, 3), missed]))[row, column, 0] == pytest.approx(alone, rel=1e-3)
+    both = renderer.radiance(beads([(0, 0, 3), missed, tuple(on_the_way)]))[row, column, 0]
+    assert both == pytest.approx(behind, rel=1e-3)
     without = Renderer(lit, rest_of(lit), variant, shadows=False)
     unshaded = without.radiance(beads([(0, 0, 3), tuple(on_the_way)]))[row, column, 0]
     assert unshaded == pytest.approx(alone, rel=1e-3)
