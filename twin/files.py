@@ -46,22 +46,6 @@ LARGEST_BYTES = 2_000_000_000
 LARGEST_PX = 50_000_000
 """Largest number of pixels of a picture that is read."""
 
-_UNREADABLE = (
-    OSError,
-    ValueError,
-    EOFError,
-    KeyError,
-    TypeError,
-    AttributeError,
-    NotImplementedError,
-    RuntimeError,
-    MemoryError,
-    RecursionError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-"""Exceptions of numpy and zipfile on damaged archives."""
-
 _unkept: list[str] = []
 """Why the cache can't be written, once it is known."""
 
@@ -302,7 +286,7 @@ def read_arrays(
             with np.load(stream, allow_pickle=False) as archive:
                 wanted = archive.files if names is None else set(names) & set(archive.files)
                 return {name: archive[name] for name in wanted}
-        except _UNREADABLE as problem:
+        except Exception as problem:  # damaged archives raise a dozen different ones
             raise ValueError(str(problem) or type(problem).__name__) from None
 
 
@@ -364,14 +348,19 @@ def picture_of_png(data: bytes) -> Picture | None:
     start = 8
     while start + 8 <= len(data):
         (length,) = struct.unpack(">I", data[start : start + 4])
-        if data[start + 4 : start + 8] == b"IDAT":
-            packed.append(data[start + 8 : start + 8 + length])
+        part = data[start + 4 : start + 8 + length]
         start += 12 + length
-    parts = _WOVEN if woven else ((0, 0, 1, 1),)
+        if struct.pack(">I", zlib.crc32(part)) != data[start - 4 : start]:
+            raise ValueError("its bytes don't add up to its checksums")
+        if part.startswith(b"IDAT"):
+            packed.append(part[4:])
     size = 0
-    for row, column, down, along in parts:
-        across = len(range(column, width, along))
-        size += len(range(row, height, down)) * (1 + 2 * channels * across) * (across > 0)
+    filters = []  # places of the lines' filter types
+    for row, column, down, along in _WOVEN if woven else ((0, 0, 1, 1),):
+        if across := len(range(column, width, along)):
+            line, count = 1 + 2 * channels * across, len(range(row, height, down))
+            filters.append(size + line * np.arange(count))
+            size += line * count
     try:
         pixels = zlib.decompressobj().decompress(b"".join(packed), size + 1)
     except zlib.error as problem:
@@ -379,7 +368,10 @@ def picture_of_png(data: bytes) -> Picture | None:
     if len(pixels) != size:
         raise ValueError(f"{len(pixels)} bytes of pixels instead of {size}")
     lines = np.frombuffer(pixels, np.uint8)
-    if not woven and not lines[:: size // height].any():
+    used = lines[np.concatenate(filters)]
+    if used.max() > 4:
+        raise ValueError(f"a line has filter type {used.max()}; there are 0 to 4")
+    if not woven and not used.any():
         values = lines.reshape(height, -1)[:, 1:].copy().view(">u2")
         return values.reshape(height, width, channels).astype(np.uint16)
     from vtkmodules.vtkIOCore import vtkMemoryResourceStream

@@ -17,9 +17,19 @@ from twin.parts.part import LEAST_MM, Angle, Coefficient, Flag, Part, Pixel, Pla
 
 Power = Annotated[float, Field(ge=0, le=1e3)]
 Gain = Annotated[float, Field(gt=0, le=100)]
+Efficiency = Annotated[float, Field(gt=0, le=1)]
+Megahertz = Annotated[float, Field(ge=0.05, le=100)]
 
 Lens = Literal["pinhole", "equidistant"]
 """What each makes of an angle is in `twin.theory.lens`."""
+
+_TURNS = np.arange(6) * np.pi / 3
+DISC_POINTS: Floats = np.concatenate(
+    [np.zeros((1, 2)), np.sqrt(2 / 3) * np.column_stack([np.cos(_TURNS), np.sin(_TURNS)])]
+)
+DISC_WEIGHTS: Floats = np.array([0.25, *[0.125] * 6])
+"""Points of a disc of radius 1 and their weights: a rule exact for polynomials of degree 5 (Stroud
+S2 5-1), the middle and a hexagon."""
 
 DISTORTIONS: dict[str, tuple[int, ...]] = {"pinhole": (0, 2, 4, 5, 8), "equidistant": (0, 2, 4)}
 """How many coefficients of distortion each may have."""
@@ -357,21 +367,13 @@ class Light(Part):
 
     def points(self) -> tuple[Points, Floats]:
         """Return (n, 3) points that stand for LEDs, mm, and (n,) intensities in each one's
-        brightest channel. A disc is its middle and a hexagon at sqrt(2/3) of the radius: exact for
-        degree 5."""
+        brightest channel; a disc's are `DISC_POINTS`."""
         places = np.array(self.positions_mm, float)
         power = self.powers.max(axis=1)
         if self.radius_mm == 0:
             return places, power
-        around = np.arange(6) * np.pi / 3
-        ring = (
-            self.radius_mm
-            * np.sqrt(2 / 3)
-            * np.column_stack([np.cos(around), np.sin(around), np.zeros(6)])
-        )
-        disc = np.concatenate([np.zeros((1, 3)), ring])
-        shares = power[:, None] * [0.25, *[0.125] * 6]
-        return (places[:, None] + disc).reshape(-1, 3), shares.ravel()
+        disc = np.pad(self.radius_mm * DISC_POINTS, ((0, 0), (0, 1)))
+        return (places[:, None] + disc).reshape(-1, 3), (power[:, None] * DISC_WEIGHTS).ravel()
 
     def tints(self) -> tuple[Floats, Floats]:
         """Return (k, n) shares of `points`' intensities by channel, and the LEDs' (k,) mean colour
@@ -381,14 +383,14 @@ class Light(Part):
             colours = colours[:, :1]
         power = colours.max(axis=1, keepdims=True)
         even = colours.sum(axis=0) / power.sum()
-        each = 1 if self.radius_mm == 0 else 7
+        each = 1 if self.radius_mm == 0 else len(DISC_WEIGHTS)
         return np.repeat(colours / np.maximum(power, 1e-300), each, axis=0).T, even
 
 
 FULL_SCALE = 255
 """Largest count of a picture."""
 
-Triple = tuple[float, float, float]
+Shares = tuple[Share, Share, Share]
 Mosaic = Literal["none", "rggb", "bggr", "grbg", "gbrg"]
 Off = Literal["off"]
 
@@ -557,8 +559,8 @@ class Ccd(Part):
     gamma: float | None = Field(default=None, ge=0.2, le=5)
     noise: Flag | None = None
     white_dn: float = Field(default=200.0, gt=0, le=FULL_SCALE)
-    crosstalk: float | tuple[Triple, Triple, Triple] = 0.05
-    quantum_efficiency: Triple | None = None
+    crosstalk: Annotated[float, Field(ge=0, le=0.3)] | tuple[Shares, Shares, Shares] = 0.05
+    quantum_efficiency: tuple[Efficiency, Efficiency, Efficiency] | None = None
     dark_current_e_s: float | None = Field(default=None, ge=0, le=1e9)
     exposure_ms: float | None = Field(default=None, gt=0, le=1e5)
     frames_per_second: float | None = Field(default=None, gt=0, le=1e5)
@@ -585,35 +587,14 @@ class Ccd(Part):
     black_dn: float | None = Field(default=None, ge=0, le=100)
     bayer: Mosaic | None = None
     interlace: Flag | None = None
-    bandwidth_mhz: Triple | Off | None = None
+    bandwidth_mhz: tuple[Megahertz, Megahertz, Megahertz] | Off | None = None
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | Off | None = None
 
     @model_validator(mode="after")
-    def _colours_are_shares(self) -> Ccd:
-        crosstalk = self.crosstalk
-        if isinstance(crosstalk, float) and not 0 <= crosstalk <= 0.3:
-            raise ValueError(
-                f"crosstalk = {crosstalk:g}: must be 0 to 0.3, or a matrix of three rows of three "
-                "shares"
-            )
-        rows = () if isinstance(crosstalk, float) else crosstalk
-        if not all(0 <= share <= 1 for row in rows for share in row):
-            raise ValueError("crosstalk: every share of the matrix must be 0 to 1")
-        if not all(sum(row) > 0 for row in rows):
+    def _every_channel_sees(self) -> Ccd:
+        if isinstance(self.crosstalk, tuple) and not all(map(any, self.crosstalk)):
             raise ValueError(
                 "crosstalk: a row of the matrix is all 0: its channel sees nothing; give it a share"
-            )
-        if self.quantum_efficiency is not None and not all(
-            0 < share <= 1 for share in self.quantum_efficiency
-        ):
-            raise ValueError(
-                f"quantum_efficiency = {self.quantum_efficiency}: each must be above 0 and at most "
-                "1"
-            )
-        band = self.bandwidth_mhz
-        if isinstance(band, tuple) and not all(0.05 <= f <= 100 for f in band):
-            raise ValueError(
-                f"bandwidth_mhz = {band}: each must be 0.05 to 100 MHz, or all of it 'off'"
             )
         if self.bits > 8 and isinstance(self.spelt_out().jpeg_quality, int):
             raise ValueError(f"bits = {self.bits}: JPEG has 8; set jpeg_quality = 'off'")

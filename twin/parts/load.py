@@ -393,8 +393,6 @@ class Footprint(Part):
                 f"a {self.kind} needs "
                 f"{'size_mm and no radius_mm' if flat else 'radius_mm and no size_mm'}"
             )
-        if self.size_mm is not None and not min(self.size_mm) > 0:
-            raise ValueError(f"size_mm = {self.size_mm} mm: both sides must be greater than 0")
         if (self.force_n is None) != turns or (self.torque_nmm is None) == turns:
             wanted = "torque_nmm and no force_n" if turns else "force_n and no torque_nmm"
             raise ValueError(f"a {self.kind} needs {wanted}")

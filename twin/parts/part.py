@@ -327,13 +327,13 @@ def _holds_number(value: Any) -> bool:
 LEAST_MM, LEAST_MPA = 1e-6, 1e-6
 """The least length and the least stiffness: a nanometre, one pascal."""
 
-Place = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
+Place = Annotated[float, Field(ge=-1e4, le=1e4)]
 """A coordinate or a motion, mm: ten metres either way."""
 
-Force = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Force = Annotated[float, Field(ge=-1e6, le=1e6)]
 """A component of a force or of a torque, N or N mm."""
 
-Angle = Annotated[float, Field(ge=-3600, le=3600, allow_inf_nan=False)]
+Angle = Annotated[float, Field(ge=-3600, le=3600)]
 """Degrees: ten turns either way."""
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -342,11 +342,11 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Size = Annotated[float, Field(ge=LEAST_MM, le=1000)]
 """How wide, long or thick something is, mm: from a nanometre to a metre."""
 
-Pixel = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Pixel = Annotated[float, Field(ge=-1e6, le=1e6)]
 """A coordinate in a picture, px."""
 
 Flag = Annotated[bool, Field(strict=True)]
 """True or false; a recipe's 1 or "yes" is neither."""
 
-Coefficient = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Coefficient = Annotated[float, Field(ge=-1e6, le=1e6)]
 """Of a lens's distortion, whatever its power."""

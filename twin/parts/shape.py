@@ -298,23 +298,19 @@ class StlFile(Part):
     @model_validator(mode="before")
     @classmethod
     def _carries_a_digest(cls, table: Any) -> Any:
-        """Fill in the digest of the file, so that hashes of the description stand for its
-        content."""
-        if isinstance(table, dict) and not table.get("sha256"):
-            file = table.get("file")
-            if isinstance(file, str) and Path(file).is_file():
-                return {**table, "sha256": file_digest(Path(file))}
-        return table
-
-    @model_validator(mode="after")
-    def _file_is_the_one(self) -> StlFile:
-        found = file_digest(Path(self.file))
-        if self.sha256 != found:
+        """Fill in the digest of the file, so that hashes of the description stand for its content,
+        or check the one that is given."""
+        file = table.get("file") if isinstance(table, dict) else None
+        if not isinstance(file, str) or not Path(file).is_file():
+            return table
+        found = file_digest(Path(file))
+        given = table.get("sha256") or found
+        if isinstance(given, str) and given != found:
             raise ValueError(
-                f"sha256 = {self.sha256[:12]}... but {Path(self.file).name} has {found[:12]}...: "
-                "the file was changed; leave sha256 out to take the new one"
+                f"sha256 = {given[:12]}... but {Path(file).name} has {found[:12]}...: the file was "
+                "changed; leave sha256 out to take the new one"
             )
-        return self
+        return {**table, "sha256": given}
 
     @staticmethod
     def renamed(value: Any, changed: Callable[[str], str]) -> Any:

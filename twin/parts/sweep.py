@@ -17,6 +17,9 @@ Fidelity = Literal["closed", "linear", "full"]
 FIDELITIES: tuple[Fidelity, ...] = ("closed", "linear", "full")
 """From the cheapest to the dearest; each is checked against the next."""
 
+HalfSide = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+
 GF = 9.80665e-3
 """A gram-force, N."""
 
@@ -179,16 +182,9 @@ class Sweep(Part):
         size_mm: float = Field(default=1.0, gt=0, le=20)
         shear: float = Field(default=0.3, ge=0, le=2)
         presses: int = Field(default=5, ge=1, le=100)
-        region_mm: tuple[float, float] | None = None
+        region_mm: tuple[HalfSide, HalfSide] | None = None
         pair_mm: float = Field(default=2.0, gt=0, le=50)
         exposures: int = Field(default=1, ge=1, le=100)
-
-        @field_validator("region_mm")
-        @classmethod
-        def _positive(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
-            if value is not None and min(value) < 0:
-                raise ValueError("both must be 0 mm or more")
-            return value
 
     class Confirm(Part):
         """How many designs, the best first, go on to the next fidelity.
@@ -257,10 +253,10 @@ class Sweep(Part):
     cost: Cost = Cost()
     noise_px: float | None = Field(default=None, gt=0, le=10)
     sensors: int = Field(default=1, ge=1, le=100)
-    targets: dict[str, float] = Field(
+    targets: dict[str, Positive] = Field(
         default_factory=lambda: {"two_point_mm": 2.0, "total_force_error": 0.05}
     )
-    weights: dict[str, float] = Field(default_factory=dict)
+    weights: dict[str, Positive] = Field(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod
@@ -301,8 +297,6 @@ class Sweep(Part):
                 raise ValueError(
                     f"{name}: unknown metric {', '.join(unknown)}; known are {', '.join(METRICS)}"
                 )
-            if any(not v > 0 for v in numbers.values()):
-                raise ValueError(f"{name}: every number must be greater than 0")
         if not self.targets:
             raise ValueError(f"targets: give at least one of {', '.join(METRICS)}")
         if len(set(self.fidelity)) < len(self.fidelity):

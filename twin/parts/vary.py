@@ -40,7 +40,7 @@ class Uniform(Part):
 
     @model_validator(mode="after")
     def _ordered(self) -> Uniform:
-        low, high = np.atleast_1d(self.low), np.atleast_1d(self.high)
+        low, high = self._ends
         if low.shape != high.shape:
             raise ValueError(f"low has {low.size} and high {high.size} components: give as many")
         if not (low <= high).all():
@@ -60,7 +60,7 @@ class Uniform(Part):
         value = low * (high / low) ** u if self.log else low + (high - low) * u
         return _plain(value, self.low)
 
-    @cached_property
+    @property
     def _ends(self) -> tuple[Floats, Floats]:
         return np.atleast_1d(self.low), np.atleast_1d(self.high)
 
@@ -124,7 +124,7 @@ class Choice(Part):
         if self.weights is not None and sum(self.weights) <= 0:
             raise ValueError("weights: one must be greater than 0")
         for value in self.choice:
-            _nested(value)
+            _made(value)
         return self
 
     @cached_property
@@ -164,7 +164,6 @@ class ForceCone(Part):
         for key in ("normal_n", "ratio"):
             value = getattr(self, key)
             try:
-                _nested(value)
                 made = _made(value)
                 ends = [_inside(made, np.full(_takes(made), u)) for u in (0.0, 1.0)]
             except ValueError as problem:
@@ -270,32 +269,22 @@ def flat(
     return found
 
 
-def _nested(value: Any) -> None:
-    """Raise ValueError if distributions inside a plain value are wrong."""
+def _made(value: Any) -> Any:
+    """Return a plain value with the distributions inside it made, or raise ValueError where one is
+    wrong."""
     if not isinstance(value, Mapping):
-        return
+        return value
     kind = _kind(value)
     if kind == "[follows]":
         raise ValueError("follows can't stand inside another distribution")
     if kind is None:
-        for inner in value.values():
-            _nested(inner)
-        return
+        return {key: _made(inner) for key, inner in value.items()}
     try:
-        _CLASSES[kind].model_validate(value)
+        return _CLASSES[kind].model_validate(value)
     except ValidationError as problem:
         first = problem.errors()[0]
         key = ".".join(str(k) for k in first["loc"])
         raise ValueError(f"{key}: {in_words(first)}".lstrip(": ")) from None
-
-
-def _made(value: Any) -> Any:
-    """Return a plain value with the distributions inside it made."""
-    if not isinstance(value, Mapping):
-        return value
-    if kind := _kind(value):
-        return _CLASSES[kind].model_validate(value)
-    return {key: _made(inner) for key, inner in value.items()}
 
 
 def _takes(value: Any) -> int:

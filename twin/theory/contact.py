@@ -148,10 +148,6 @@ class _Law:
     factor: float
     known_strain: float
 
-    def error(self, mean_strain: float) -> float:
-        """Return the error to expect at most, relative to the largest displacement."""
-        return self.factor * mean_strain
-
 
 SHEARED = 0.05
 """Force sideways over push from which on a probe counts as sheared: on a slope it always carries a

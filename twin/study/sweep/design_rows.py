@@ -13,8 +13,6 @@ import hashlib
 import json
 import os
 import time
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +21,7 @@ import numpy as np
 
 from twin.arrays import Progress
 from twin.blas_threads import one_thread
-from twin.files import write_whole
+from twin.files import read_arrays, write_whole
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.study.batch.draw import SceneTable
@@ -99,10 +97,10 @@ class Rows:
     def shown(folder: Path, key: str) -> Shown | None:
         """Return a design's picture and fields; None where they are missing or damaged."""
         try:
-            with np.load(_shown_file(folder, key), allow_pickle=False) as kept:
-                return {name: kept[name] for name in SHOWN}
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+            kept = read_arrays(_shown_file(folder, key), SHOWN)
+        except (OSError, ValueError):
             return None
+        return kept if len(kept) == len(SHOWN) else None
 
     @staticmethod
     def cost(

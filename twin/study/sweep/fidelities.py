@@ -246,13 +246,9 @@ class _Profiles:
 
     def along(self, load: int, axis: int) -> tuple[Floats, Floats]:
         """Return places, mm, and the push there, N, along s (0) or t (1) through the middle."""
-        other = self._axes[1 - axis]
-        field = np.moveaxis(self._push[:, :, load], axis, 0)
-        place = np.interp(0.0, other, np.arange(len(other)))
-        low = min(int(place), len(other) - 1)
-        share = place - low
-        high = min(low + 1, len(other) - 1)
-        return self._axes[axis], np.asarray((1 - share) * field[:, low] + share * field[:, high])
+        rows = np.moveaxis(self._push[:, :, load], axis, 0)
+        middle = [np.interp(0.0, self._axes[1 - axis], row) for row in rows]
+        return self._axes[axis], np.array(middle)
 
     def width(self, load: int) -> float:
         """Return the full width at half maximum, mm: the mean of both directions that have one."""

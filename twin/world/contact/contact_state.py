@@ -477,7 +477,7 @@ def _validity(
     thin = depth / thickness
     strain = pressure / modulus
     law = law_of(probe.kind, radius / thickness, sheared=sheared)
-    error = law.error(strain)
+    error = law.factor * strain
     notes: list[str] = []
     warnings: list[str] = []
     if ratio is not None and ratio > _RATIO_LIMIT:

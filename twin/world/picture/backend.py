@@ -27,6 +27,7 @@ from typing import Any
 
 from twin.errors import InputError, MissingCapability
 from twin.files import cache_folder, kept_if_possible, write_whole
+from twin.parts.camera import DISC_WEIGHTS
 from twin.parts.scene import Scene
 
 FORCE = "TWIN_VARIANT"
@@ -93,9 +94,6 @@ print("good" if good else "wrong", number)
 
 RAYS_BYTES = 63
 """Bytes a pixel of rays, light and shares, for each point of the pupil and for its middle."""
-
-PUPIL_POINTS = 7
-"""Points of a wide pupil, `twin.world.picture.camera_rays.PUPIL_WEIGHTS`."""
 
 _LIGHT_BYTES = 75
 """Bytes a pixel while the picture is rendered, exposed and tracked."""
@@ -202,7 +200,7 @@ class Variant:
         camera = scene.camera
         if camera is None:
             return
-        views = 1 if camera.aperture_mm == 0 else 1 + PUPIL_POINTS
+        views = 1 if camera.aperture_mm == 0 else 1 + len(DISC_WEIGHTS)
         pixels = camera.width_px * camera.height_px
         needed = at_once * pixels * (_LIGHT_BYTES + views * RAYS_BYTES)
         free = _free_bytes()

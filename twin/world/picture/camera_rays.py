@@ -28,17 +28,13 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Pixels, Singles
 from twin.errors import RecipeError
-from twin.parts.camera import Camera, Ccd
+from twin.parts.camera import DISC_POINTS, Camera, Ccd
 from twin.parts.load import Load
 from twin.parts.scene import Scene
 from twin.theory.lens import lens_inverse
 from twin.theory.optics import project, rays, reflection, transmission
 from twin.world.picture.cover import SeeThrough, cover_light, stretch
 from twin.world.picture.lamps import Lamps
-
-PUPIL_WEIGHTS = np.concatenate([[0.25], np.full(6, 0.125)])
-"""Weights of the pupil's points: a rule exact for polynomials of degree 5 on a disc (Stroud S2
-5-1)."""
 
 _STEPS = 1000
 """The most parts in which a scratch is looked for."""
@@ -130,11 +126,7 @@ class View:
     @staticmethod
     def pupil_cameras(scene: Scene) -> list[Camera]:
         """Return cameras of no aperture at points of the scene's pupil, in the order of
-        `PUPIL_WEIGHTS`; none if the pupil is a point.
-
-        Notes
-        -----
-        The seven points are the middle and a hexagon at sqrt(2/3) of the radius.
+        `twin.parts.camera.DISC_POINTS`; none if the pupil is a point.
 
         Raises
         ------
@@ -150,10 +142,6 @@ class View:
                 f"lie in front of it (below camera.pupil_mm's z = {camera.pupil_mm[2]:g} mm); move "
                 "it, or set aperture_mm = 0"
             )
-        # Seven points of the pupil: a quadrature of the disc, the middle and a ring.
-        around = np.arange(6) * np.pi / 3
-        ring = np.sqrt(2 / 3) * np.column_stack([np.cos(around), np.sin(around)])
-        points = camera.aperture_mm / 2 * np.concatenate([np.zeros((1, 2)), ring])
         focus = np.array([[camera.pupil_mm[0], camera.pupil_mm[1], camera.focus_z_mm]])
         optics = (scene.material.refractive_index, scene.body.base_z_mm)
         sharp = camera.model_copy(update={"aperture_mm": 0.0})
@@ -166,7 +154,7 @@ class View:
         # One camera for each point, its principal point moved so that all see the place in focus on
         # the same pixel.
         cameras = []
-        for x, y in points.tolist():
+        for x, y in (camera.aperture_mm / 2 * DISC_POINTS).tolist():
             pupil = (camera.pupil_mm[0] + x, camera.pupil_mm[1] + y, camera.pupil_mm[2])
             moved = sharp.model_copy(update={"pupil_mm": pupil})
             column, row = np.asarray(camera.centre_px) + here - project(focus, moved, *optics)[0]

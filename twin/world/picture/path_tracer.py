@@ -27,8 +27,9 @@ import mitsuba as mi
 import numpy as np
 
 from twin.arrays import Singles
+from twin.parts.camera import DISC_WEIGHTS
 from twin.parts.scene import Scene
-from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View
+from twin.world.picture.camera_rays import View
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.stock_scene import Triangles, surfaces, window
@@ -142,7 +143,7 @@ class _FoldedCamera(mi.Sensor):
         light = [(view.vignette * view.sees).ravel() for view in views]
         self._corners = mi.Float(np.concatenate(corners))
         self._light = mi.Float(np.concatenate(light))
-        self._chosen = np.cumsum(PUPIL_WEIGHTS)[:-1].tolist() if len(views) > 1 else []
+        self._chosen = np.cumsum(DISC_WEIGHTS)[:-1].tolist() if len(views) > 1 else []
         self._start = base_z_mm - _BELOW_MM
 
     def sample_ray(

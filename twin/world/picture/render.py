@@ -22,10 +22,11 @@ import numpy as np
 
 from twin.arrays import Floats, Points, Singles
 from twin.errors import AccuracyWarning, MissingCapability, RecipeError
+from twin.parts.camera import DISC_WEIGHTS
 from twin.parts.load import Load
 from twin.parts.scene import Scene
 from twin.world.picture.backend import FORCE, Variant
-from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View
+from twin.world.picture.camera_rays import View
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import Lamps
@@ -46,10 +47,6 @@ mm, and the share of light that comes from all around."""
 
 _ERROR_PX = {"splat": (0.0215, 0.0095, 0.0052, 0.0038), "traced": (0.033, 0.0148, 0.0107, 0.0096)}
 """The largest error of an intensity centroid for k = 1 to 4; beyond, the splat's falls as 1/k."""
-
-_PATH_PX = 0.033
-"""The largest error of an intensity centroid by noise at 64 paths a pixel; it falls as their root.
-Measured for both sensors: 0.0065 and 0.010 px rms."""
 
 _FINEST = 16
 """The largest k."""
@@ -137,7 +134,7 @@ class Renderer:
         for share, tables in _colours(scene):
             coloured = scene.model_copy(update=tables)
             cameras = View.pupil_cameras(coloured)
-            weights = PUPIL_WEIGHTS if cameras else np.ones(1)
+            weights = DISC_WEIGHTS if cameras else np.ones(1)
             if tables and not cameras:
                 cameras = [coloured.imaging[0]]
             for weight, camera in zip(weights, cameras, strict=False):
@@ -355,11 +352,6 @@ class Renderer:
 
 class _PathRenderer(Renderer):
     """Has Mitsuba's path integrator make the whole picture."""
-
-    @property
-    def centroid_error_px(self) -> float:
-        """See `Renderer`."""
-        return _PATH_PX * float(np.sqrt(64 / self.scene.accuracy.paths))
 
     @property
     def drawn_by(self) -> str:
