@@ -382,8 +382,11 @@ def test_raw_frames_from_a_pipe(folder):
 
 
 def test_overlay_pictures(folder):
+    (folder / "drawn").mkdir()
+    (folder / "drawn" / "000002_older.png").touch()
     done = twin("rest.png", "press4.png", "--calibration", "flat.npz", "--overlay", "drawn", cwd=folder)
     assert done.returncode == 0, done.stderr
+    assert len(list((folder / "drawn").iterdir())) == 1, "drawings of another recording are replaced"
     drawn = np.array(Image.open(folder / "drawn" / "000001_press4.png"))
     assert drawn.shape == (SIZE[1], SIZE[0], 3)
     lines = int((drawn == [120, 255, 120]).all(axis=2).sum())

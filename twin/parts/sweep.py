@@ -101,6 +101,12 @@ class Sweep(Part):
             """Return the axis's values on a grid."""
             return list(self.values)
 
+        def ends(self) -> list[Any]:
+            """Return its least and its largest number, and all that is no number."""
+            numbers = [each for each in self.values if isinstance(each, int | float)]
+            others = [each for each in self.values if not isinstance(each, int | float)]
+            return [*sorted({min(numbers), max(numbers)} if numbers else ()), *others]
+
         def at(self, u: Floats) -> list[Any]:
             """Return the values of (m,) numbers in [0, 1)."""
             count = len(self.values)
@@ -134,6 +140,10 @@ class Sweep(Part):
             if self.log and self.low <= 0:
                 raise ValueError(f"low = {self.low:g}: with log = true it must be greater than 0")
             return self
+
+        def ends(self) -> list[Any]:
+            """Return its least and its largest value."""
+            return self.at(np.arange(2.0))
 
         def grid(self) -> list[Any]:
             """Return the axis's values on a grid."""

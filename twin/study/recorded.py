@@ -721,7 +721,11 @@ class _OverlayFile:
         self._times = _MOST_TIMES
 
     def add(self, number: int, result: _FrameResult) -> None:
-        """Draw frame ``number``, counted from 1; one that can't be read is left out."""
+        """Draw frame ``number``, counted from 1; one that can't be read is left out. In a folder
+        the first one takes the place of earlier drawings."""
+        if number == 1 and not (self._film or self._one):
+            for older in self._target.glob("[0-9]" * 6 + "_*.png"):
+                older.unlink()
         if result.picture is None:
             return
         found, field = result.found, result.field

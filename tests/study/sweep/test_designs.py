@@ -125,6 +125,12 @@ def test_every_wrong_key_of_a_file_is_said_with_the_file(tmp_path: Path) -> None
     [
         ({**TABLE, "fidelty": ["closed"]}, "did you mean 'fidelity'"),
         ({**TABLE, "axes": {}}, "axes"),
+        ({**TABLE, "axes": {"markers.blue.depth_mm": [-1, 2]}}, "axes.markers.blue.depth_mm = -1 mm: .*: 1e-06 to 100"),
+        ({**TABLE, "axes": {"camera.width_px": {"low": 9, "high": 9e3, "whole": True}}}, "= 9000 px: .*: 1 to 8192"),
+        (
+            {**TABLE, "derived": {"markers.red.depth_mm": {"follows": "markers.blue.depth_mm", "plus": -9}}},
+            "derived.markers.red.depth_mm = -",
+        ),
         ({**TABLE, "axes": {"markers.blue.depth_mm": {"low": 3, "high": 1}}}, "must not be above"),
         ({**TABLE, "targets": {"twopoint": 2}}, "unknown metric"),
         ({**TABLE, "loads": {"size_mm": -1}}, "size_mm"),

@@ -8,7 +8,7 @@ milliseconds to validate.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -169,7 +169,8 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
                 for key in _spelt_out(name, table):
                     table.look_up(key.rpartition(".")[0] or key)
                     filled.put({key: _telling(sweep, name) if part == "axes" else 1.0})
-                    problems += _wrong_words(sweep, table, name, key)
+                    wrong = _wrong_values(sweep, table, name, key)
+                    problems += [line for line in wrong if line not in problems]
             except RecipeError as problem:
                 problems.append(f"{part}.{name}: {str(problem).split(': ', 1)[-1]}")
     try:
@@ -199,18 +200,29 @@ def _telling(sweep: Sweep, name: str) -> Any:
     return next((v for v in values if isinstance(v, float) and v % 1), values[0])
 
 
-def _wrong_words(sweep: Sweep, table: SceneTable, name: str, key: str) -> list[str]:
-    """Return the scene's problems with texts and lists of an axis."""
-    axis = sweep.axes.get(name)
+def _wrong_values(sweep: Sweep, table: SceneTable, name: str, key: str) -> list[str]:
+    """Return the scene's problems with texts and lists of an axis, and with its least and largest
+    number, also as another key follows it, where the key's own range excludes them."""
+    rule = sweep.derived.get(name)
+    followed = name if rule is None else rule.follows
+    axis = next((sweep.axes[each] for each in sweep.axes if _matches(each, followed)), None)
+    values: Sequence[Any] = () if axis is None else axis.ends()
+    if rule is not None:
+        values = [rule.times * v + rule.plus for v in values if isinstance(v, int | float)]
     found = []
-    for value in axis.values if isinstance(axis, Sweep.Values) else ():
-        if not isinstance(value, int | float):
-            changed = copy.deepcopy(table)
-            changed.put({key: value})
-            try:
-                validate_scene(changed, "design")
-            except RecipeError as problem:
-                found += [f"axes.{line}" for line in problem.problems if line.startswith(key)]
+    for value in values:
+        changed = copy.deepcopy(table)
+        changed.put({key: value})
+        try:
+            validate_scene(changed, "design")
+        except RecipeError as problem:
+            part = "axes" if rule is None else "derived"
+            wrong = "" if isinstance(value, str | list) else " = "
+            found += [
+                f"{part}.{line}"
+                for line in problem.problems
+                if line.startswith(key + wrong) and (not wrong or "(allowed: " in line)
+            ]
     return found
 
 
