@@ -130,6 +130,18 @@ def test_mirror_symmetry_changes_no_figure(columns: int) -> None:
         np.testing.assert_allclose(field["middle_n"], whole["middle_n"], atol=1e-9)
 
 
+def test_a_picture_takes_longer_by_as_much_for_every_further_column_of_sites() -> None:
+    """By a product with the matrix, which has so many more entries."""
+    recipe, time_ms = small()[1].reconstruction, []
+    for columns in (5, 10, 15):
+        sites = recipe.sites.model_copy(update={"columns": columns})
+        wanted = {"reconstruction": recipe.model_copy(update={"sites": sites})}
+        time_ms.append(_linear(small()[1].model_copy(update=wanted))[0]["frame_ms"])
+    one, other = np.diff(time_ms)
+    assert one == pytest.approx(other)
+    assert one > 0
+
+
 @dataclass
 class _Software:
     """The small sweep's sensor and the shifts of the push in the middle, solved apart from it."""
