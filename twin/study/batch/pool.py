@@ -44,10 +44,8 @@ Work = Callable[[Path, int], Any]
 """Computes task number n of the job whose files are in a folder."""
 
 AHEAD = 2
-"""Batches of tasks per worker: the next is there when one is done, and memory stays flat."""
-
-BATCH_S = 1.0
-"""CPU seconds of tasks that are handed out together: handing out costs some 7 ms."""
+"""Tasks per worker: the next is there when one is done, and memory stays flat. Handing one out
+costs some 7 ms, a task takes half a second and more."""
 
 START_S = 9.0
 """Seconds that two processes take to start and to load what this one has, on two cores: 6 where
@@ -308,32 +306,22 @@ class Pool:
         with _connected(scheduler) as client:
             client.register_plugin(JobFiles())
             waiting = deque(numbers)
-            alone = deque[int]()
-            given: dict[str, list[int]] = {}
+            given: dict[str, int] = {}
             ahead = AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
 
-            def hand_out(many: int) -> Any:
-                batch = [alone.popleft()] if alone else [waiting.popleft() for _ in range(many)]
-                key = f"{job.work}-{batch[0]}-{len(batch)}"
-                given[key] = batch
-                return client.submit(
-                    _tasks_on_worker, job.name, job.work, batch, pure=False, key=key
-                )
+            def hand_out() -> Any:
+                number = waiting.popleft()
+                future = client.submit(_task_on_worker, job.name, job.work, number, pure=False)
+                given[future.key] = number
+                return future
 
-            pool = as_completed([hand_out(1) for _ in range(min(ahead, len(waiting)))])
-            many = 1
+            pool = as_completed([hand_out() for _ in range(min(ahead, len(waiting)))])
             for future in pool:
-                batch = given.pop(future.key)
-                found, seconds = _outcome(batch, future)
+                done = _outcome(given.pop(future.key), future)
                 future.release()
-                if seconds is None and len(batch) > 1:  # find out which task kills workers
-                    alone.extend(batch)
-                    found = []
-                elif seconds is not None:
-                    many = max(1, int(BATCH_S * len(batch) / max(seconds, 1e-6)))
-                if alone or waiting:
-                    pool.add(hand_out(min(many, -(-len(waiting) // ahead))))
-                yield from found
+                if waiting:
+                    pool.add(hand_out())
+                yield done
 
 
 def _can_be_copied() -> bool:
@@ -384,14 +372,11 @@ _unpacked: dict[str, tuple[ExitStack, Path]] = {}
 """The job that this worker process has unpacked last, by its name."""
 
 
-def _tasks_on_worker(name: str, work: str, numbers: Sequence[int]) -> tuple[list[Job.Done], float]:
-    """Compute tasks of an unpacked job on a dask worker; return them and their CPU seconds."""
+def _task_on_worker(name: str, work: str, number: int) -> Job.Done:
+    """Compute a task of an unpacked job on a dask worker."""
     if name not in _unpacked:
         raise RuntimeError("this worker has not received the job's files")
-    function = _work_of(work)
-    folder = _unpacked[name][1]
-    started = time.process_time()
-    return [_tried(function, folder, number) for number in numbers], time.process_time() - started
+    return _tried(_work_of(work), _unpacked[name][1], number)
 
 
 def _tried(function: Work, folder: Path, number: int) -> Job.Done:
@@ -440,16 +425,16 @@ def _connected(scheduler: Pool.Scheduler) -> Any:
         ) from None
 
 
-def _outcome(numbers: list[int], future: Any) -> tuple[list[Job.Done], float | None]:
-    """Return the outcome of tasks, and their CPU seconds; None if they were lost."""
+def _outcome(number: int, future: Any) -> Job.Done:
+    """Return the outcome of a task, also of one that was lost."""
     problem = future.exception()
     if problem is None:
-        found, seconds = future.result()
-        return found, seconds
-    if type(problem).__name__ == "KilledWorker":
-        return [Job.Done(number, problem=f"task {number}: {DIED}") for number in numbers], None
+        done: Job.Done = future.result()
+        return done
     text = f"{type(problem).__name__}: {problem}"
-    return [Job.Done(number, problem=text) for number in numbers], None
+    if type(problem).__name__ == "KilledWorker":
+        text = f"task {number}: {DIED}"
+    return Job.Done(number, problem=text)
 
 
 @contextmanager
