@@ -311,7 +311,10 @@ def _alarms(facts: Mapping[str, Any]) -> list[str]:
             found += _alarms(value)
         elif _is_alarm(key, value):
             found += [value] if isinstance(value, str) else [str(v) for v in value]
-    return [text[0].upper() + text[1:] for text in map(str.strip, found) if text]
+    texts = filter(None, map(str.strip, found))
+    return [
+        t if "." in t.split()[0] else t[0].upper() + t[1:] for t in texts
+    ]  # a key stays as it is
 
 
 def _facts(facts: Mapping[str, Any]) -> str:

@@ -175,7 +175,8 @@ def _check_results(folder: Path) -> list[Fact]:
         if facts:
             return facts
         raise InputError(
-            f"{folder}: holds neither scene.toml nor truth.npz, so it is no result folder"
+            f"{folder}: holds neither scene.toml nor truth.npz, so it is no result folder; a "
+            "recording is checked where it is used: twin calibrate FOLDER --scene SCENE"
         )
     try:
         axes = {"total_force_n": 1, "surface_force_n": 2, "marker_displacement_mm": 2}
@@ -338,7 +339,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
     if seen.mean() < FEW:
         problems.append(
             f"only {100 * seen.mean():.3g} % of the markers are found: twin calibrate "
-            f"--layout-from {first} --scene SCENE states which camera fits the picture"
+            f"--layout-from {first} --scene SCENE states which dots it shows, and which camera fits"
         )
     if full > SATURATED:
         problems.append(f"{100 * full:.2g} % of the pixels are saturated: expose less")
@@ -354,7 +355,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
     size = {"seen": int(seen.sum()), "markers": len(seen), "width_px": width}
     light = {"noise_counts": noise, "saturated_pct": 100 * full}
     shift = {"measured_px": found.scatter_px, "stated_px": stated}
-    pixels = "errors {ratio:.2g} times as large as from noise in single pixels"
+    pixels = "errors of shifts {ratio:.2g} times those by noise of single pixels"
     dark = "{noise_counts:.2g} counts, {saturated_pct:.2g} % of the pixels saturated"
     sds = "{measured_px:.2g} px measured, {stated_px:.2g} px stated (standard deviation)"
     return [

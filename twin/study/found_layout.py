@@ -21,6 +21,7 @@ from twin.errors import InputError, RecipeError
 from twin.files import make_folder, png_bytes, write_whole
 from twin.parts.scene import Scene
 from twin.sense.find_layout import FoundLayout, find_layout
+from twin.study.batch.pool import counted
 from twin.study.doubts import View
 from twin.study.frames import read_picture
 
@@ -143,8 +144,9 @@ def _given(
                 raise InputError(f"--{option} {value:g} mm: allowed are 0.01 to {LARGEST_MM:g} mm")
         if len(values) not in (0, 1, count):
             raise InputError(
-                f"--{option} has {len(values)} numbers, and the picture shows {count} layers "
-                f"({', '.join(found.layers)}): give one for all, or one each"
+                f"--{option} has {len(values)} numbers, and the picture shows "
+                f"{counted(count, 'layer')} ({', '.join(found.layers)}): give one for all, or one "
+                "each"
             )
         lists.append(list(values) if len(values) == count else [*values, None][:1] * count)
     middle_px = (np.array([size[1], size[0]]) - 1) / 2

@@ -75,6 +75,8 @@ def test_hdf5_has_pictures_markers_and_wrench(made: Path, good: list[dict[str, A
 def test_an_unknown_format_is_refused(made: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="hdf5, coco, webdataset"):
         export_dataset(made, "csv", tmp_path)
+    with pytest.raises(InputError, match="lies in the dataset"):
+        export_dataset(made, "coco", made / "coco")
 
 
 def test_the_contact_sheet_shows_pictures_truth_and_failures(made: Path, tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def export_dataset(
     Raises
     ------
     InputError
-        An unknown format, or a dataset without what it needs.
+        An unknown format, a dataset without what it needs, or ``out`` lies in it.
     MissingCapability
         A package that the format needs is not installed.
     """
@@ -50,6 +50,10 @@ def export_dataset(
             f"--format {form}: must be one of {', '.join(FORMATS)}, or mitsuba for a scene"
         )
     reader = DatasetReader(folder, split="all", decode=form == "hdf5")
+    if folder.resolve() in (out.resolve(), *out.resolve().parents):
+        raise InputError(
+            f"--out {out}: lies in the dataset, whose files are all checked; name another"
+        )
     make_folder(out)
     write = {"hdf5": _hdf5, "coco": _coco, "webdataset": _webdataset}[form]
     return write(reader, out, progress)

@@ -273,7 +273,7 @@ class Bodies:
         from twin.world.elasticity.compliance import FEW
 
         unit, few = self.unit(scene, role, patches), len(patches)
-        if few > FEW * len(points):  # else solved anew for each design's points
+        if few > FEW * len(points):  # else solved again for each design's points
             few = TOGETHER
         parts = range(0, len(patches), few)
         made = [unit.to_points(points, patches[first : first + few]) for first in parts]
