@@ -94,6 +94,16 @@ def test_every_whole_dot_is_found_and_none_else(options):
         assert (layer.angle_deg - options.get("angle", 0) + turn / 2) % turn == pytest.approx(turn / 2, abs=0.3)
 
 
+def test_dots_by_hand_are_numbered_and_their_scatter_is_stated():
+    sites, places = grid(jitter=0.12, angle=10.0)
+    (layer,) = twin.find_layout(drawn(places)).layers.values()
+    off, spot = cKDTree(places).query(layer.centre_px)
+    assert off.max() < 1.0
+    assert len(layer) > 0.96 * whole(places).sum()
+    assert numbers_follow(layer, sites, spot)
+    assert layer.scatter_px / layer.pitch_px == pytest.approx(0.12, rel=0.2)
+
+
 def test_bright_dots_of_any_width():
     for diameter, pitch in ((5.0, 16.0), (24.0, 60.0)):
         _, places = grid(pitch=pitch)
@@ -148,7 +158,7 @@ def test_pictures_without_a_grid_are_refused_with_the_cause():
         twin.find_layout(expose(np.full((300, 400, 3), 120.0), 1))
     with pytest.raises(InputError, match="shows 3 dots"):
         twin.find_layout(drawn(rng.uniform(30, 270, (3, 2))))
-    with pytest.raises(InputError, match="form no lattice"):
+    with pytest.raises(InputError, match=r"form no lattice.* give twin\.track their places"):
         twin.find_layout(drawn(rng.uniform(10, 290, (90, 2))))
     with pytest.raises(InputError, match="32x32"):
         twin.find_layout(np.zeros((20, 20, 3), np.uint8))

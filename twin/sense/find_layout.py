@@ -59,12 +59,13 @@ MOST_SPOTS = 6000
 """More are texture, not dots."""
 
 SEEDS = 16
-"""Spots from which a lattice is grown, until one holds `ENOUGH` of the spots."""
+"""Spots from which a lattice is grown, until one holds `ENOUGH` of the spots, at places `EVEN`."""
 
-ENOUGH = 0.85
+ENOUGH, EVEN = 0.85, 0.07
 
-GATE = 0.28
-"""Largest distance between a site's prediction and its spot while a lattice grows, in pitches."""
+GATE, LAST_GATE = 0.28, 0.42
+"""Largest distance between a site's prediction and its spot while a lattice grows, in pitches; and
+in the end."""
 
 STRAY, STRAY_SD = 0.08, 4.5
 """A spot that is farther than this from where its neighbours expect it is none of the lattice's: in
@@ -76,9 +77,16 @@ BENT = 1.5
 LEAST_DOTS, LEAST_SHARE, LEAST_FILLED = 9, 0.6, 0.55
 """A lattice has at least so many dots, this share of the spots, and of its own sites."""
 
-LARGEST_SCATTER = 0.1
+LARGEST_SCATTER, BY_HAND, MANY = 0.1, 0.18, 30
 """Median distance, in pitches, between the dots of a lattice and where their neighbours expect
-them. Measured: .02 to .06 on drawn and rendered sensors, .3 to .4 on dots without order."""
+them: at most the second where these are `MANY`, and `ENOUGH` of the spots. Measured: .02 to .06 on
+drawn and rendered sensors, .12 to .18 where dots are put by hand (standard deviation .12 of the
+pitch), .10 to .4 on dots without order, of which a lattice holds less than `ENOUGH`.
+"""
+
+OF_SCATTER = 1.25
+"""That median over the dots' standard deviation along an axis: 1.177 for two normal numbers, times
+1.06 as the neighbours scatter, too, whose weighted mean has .13 of a dot's variance."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +116,9 @@ class FoundLayout:
             ``square`` or ``hexagonal``.
         pitch_px
             Distance of neighbouring dots, px: the mean over the layer.
+        scatter_px
+            Standard deviation of the dots' places about where their neighbours expect them, per
+            axis, px.
         diameter_px
             Median width of the dots, px.
         angle_deg
@@ -124,6 +135,7 @@ class FoundLayout:
         index: Ints
         lattice: Literal["square", "hexagonal"]
         pitch_px: float
+        scatter_px: float
         diameter_px: float
         angle_deg: float
         colour_dn: Floats
@@ -359,6 +371,11 @@ def _lattice_at(
     if LEAST_DOTS <= len(spots) <= MOST_SPOTS:
         index, on = _grow(spots.centre_px)
     believed = _believable(spots.centre_px, index, on)
+    if believed:  # with the dots that lie farthest beside their sites
+        tree = cKDTree(spots.centre_px)
+        while _add(spots.centre_px, tree, index, on, 1, LAST_GATE):
+            pass
+        _drop_strays(spots.centre_px, index, on)
     return _Layer(weights=weights, spots=spots, index=index, on=on, believed=believed)
 
 
@@ -370,7 +387,13 @@ def _believable(points: Pixels, index: Ints, on: Bools) -> bool:
     spans = [np.ptp(own[own[:, 1] == row, 0]) + 1 for row in np.unique(own[:, 1])]
     if count < LEAST_FILLED * sum(spans):
         return False
-    return float(np.median(_misfit(own, points[on], 0.0))) < LARGEST_SCATTER
+    largest = BY_HAND if count >= max(MANY, ENOUGH * len(on)) else LARGEST_SCATTER
+    return _scatter(own, points[on]) < largest
+
+
+def _scatter(sites: Ints, places: Pixels) -> float:
+    """Return the median of `_misfit` over a lattice."""
+    return float(np.median(_misfit(sites, places, 0.0)))
 
 
 def _misfit(sites: Ints, places: Pixels, bent: float) -> Floats:
@@ -398,7 +421,9 @@ def _grow(points: Pixels) -> tuple[Ints, Bools]:
         grown = _spread(points, tree, int(seed), steps)
         if grown[1].sum() > best[1].sum():
             best = grown
-        if best[1].sum() >= ENOUGH * len(points):
+        on = best[1]
+        # dots by hand may also fit a lattice with a column more or less, but fewer of them
+        if on.sum() >= ENOUGH * len(points) and _scatter(best[0][on], points[on]) < EVEN:
             break
     return best
 
@@ -434,14 +459,15 @@ def _spread(points: Pixels, tree: cKDTree, seed: int, steps: Floats) -> tuple[In
             if off < GATE * np.linalg.norm(step) and not on[spot]:
                 on[spot] = True
                 index[spot, k] = sign
-    while True:
-        added = 0
-        for reach in (1, 2):  # over a gap only where nothing else is left
-            added = _add(points, tree, index, on, reach)
-            if added:
-                break
-        if not added:
-            break
+    # over a gap only where nothing else is left
+    while any(_add(points, tree, index, on, reach, GATE) for reach in (1, 2)):
+        pass
+    _drop_strays(points, index, on)
+    return index, on
+
+
+def _drop_strays(points: Pixels, index: Ints, on: Bools) -> None:
+    """Take spots off the lattice, in place, that lie too far from where neighbours expect them."""
     for _ in range(3):
         rows = np.flatnonzero(on)
         if len(rows) < LEAST_DOTS:
@@ -451,10 +477,9 @@ def _spread(points: Pixels, tree: cKDTree, seed: int, steps: Floats) -> tuple[In
         if not stray.any():
             break
         on[rows[stray]] = False
-    return index, on
 
 
-def _add(points: Pixels, tree: cKDTree, index: Ints, on: Bools, reach: int) -> int:
+def _add(points: Pixels, tree: cKDTree, index: Ints, on: Bools, reach: int, gate: float) -> int:
     """Give the sites around the lattice their spots, in place; return how many were added."""
     taken = index[on]
     sites = np.unique((taken[:, None] + AROUND[reach]).reshape(-1, 2), axis=0)
@@ -466,7 +491,7 @@ def _add(points: Pixels, tree: cKDTree, index: Ints, on: Bools, reach: int) -> i
     off, spot = tree.query(place)
     added = 0
     for k in np.argsort(off / pitch):
-        if off[k] > GATE * pitch[k]:
+        if off[k] > gate * pitch[k]:
             break
         if not on[spot[k]]:
             on[spot[k]] = True
@@ -535,8 +560,9 @@ def _refusal(away: Singles, noise: float, most: int) -> str:
         )
     return (
         f"the rest picture shows {most} spots, but they form no lattice: a layer is rows and "
-        "columns (or hexagons) of dots at most a tenth of the pitch beside their places, fewer "
-        "than half of them missing; is this a picture without load, and are the dots in focus?"
+        "columns (or hexagons) of dots at most 0.12 of the pitch beside their places (standard "
+        "deviation), fewer than half of them missing; is this a picture without load, and are the "
+        "dots in focus? Dots without order: give twin.track their places, {name: (n, 2) px}"
     )
 
 
@@ -558,13 +584,16 @@ def _layer(picture: Picture, away: Singles, one: _Layer) -> FoundLayout.Layer:
     order = np.lexsort((sites[:, 1], sites[:, 0]))
     centres, sites = centres[order], sites[order]
     width = float(np.median(one.spots.diameter_px[one.on]))
+    pitch = _pitch(centres, sites, lattice)
+    scatter = pitch / OF_SCATTER * _scatter(one.index[one.on], one.spots.centre_px[one.on])
     colour, ground = _counts(picture, centres, width)
     kind: Literal["bright", "dark"] = "bright" if colour.sum() > ground.sum() else "dark"
     return FoundLayout.Layer(
         centre_px=frozen(centres),
         index=frozen(sites),
         lattice=lattice,
-        pitch_px=_pitch(centres, sites, lattice),
+        pitch_px=pitch,
+        scatter_px=scatter,
         diameter_px=width,
         angle_deg=angle,
         colour_dn=frozen(colour),

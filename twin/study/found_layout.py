@@ -31,6 +31,9 @@ LARGEST_MM = 100.0
 INK = ((0, 230, 118), (255, 171, 0), (0, 176, 255), (255, 64, 129))
 """Colours in which layers are drawn."""
 
+BY_HAND = 0.05
+"""Standard deviation of dots' places, over the pitch, from which on it is a tolerance to state."""
+
 NUMBERED_PX = 26.0
 """Pitch from which on every dot has its numbers; else those at the edge of the grid."""
 
@@ -92,7 +95,8 @@ def layout_to_files(
     lines = [
         f"{name:11s} {len(layer)} {layer.polarity} dots, {layer.columns} columns x {layer.rows} "
         f"rows, {layer.lattice}, pitch {layer.pitch_px:.4g} px, diameter {layer.diameter_px:.3g} "
-        f"px, turned by {layer.angle_deg:.2g} deg"
+        f"px, turned by {layer.angle_deg:.2g} deg, dots {layer.scatter_px / layer.pitch_px:.2g} of "
+        "the pitch beside their places (standard deviation)"
         for name, layer in found.layers.items()
     ]
     if scene is not None and scene.camera is not None:
@@ -261,6 +265,9 @@ def _table(layer: FoundLayout.Layer, own: _Drawn, name: str) -> list[str]:
     ]
     if own.depth_mm is not None:
         lines.append('assumed.depth_mm = "as given or drawn: no picture shows it"')
+    if own.pitch_mm is not None and layer.scatter_px > BY_HAND * layer.pitch_px:
+        beside = own.pitch_mm * layer.scatter_px / layer.pitch_px
+        lines.append(f"# dots lie beside their places; in [tolerance]: print_mm = {beside:.2g}")
     if abs(layer.angle_deg) > 0.5:
         turn = f"tilt_deg = [0, 0, {layer.angle_deg:.1f}]"
         lines.append(f"# rows are turned in the picture; in [camera]: {turn}")
