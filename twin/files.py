@@ -325,8 +325,7 @@ def png_bytes(picture: Picture) -> bytes:
     lines[:, 1:] = row
     head = struct.pack(">IIBBBBB", width, height, bits, 0 if is_grey else 2, 0, 0, 0)
     packed = deflate.zlib_compress(lines.tobytes(), 1)
-    chunks = [_chunk(b"IHDR", head), _chunk(b"IDAT", packed), _chunk(b"IEND", b"")]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+    return _png(head, packed)
 
 
 def picture_of_png(data: bytes) -> Picture | None:
@@ -343,47 +342,58 @@ def picture_of_png(data: bytes) -> Picture | None:
     import numpy as np
 
     width, height, _, kind, _, _, woven = struct.unpack(">IIBBBBB", data[16:29])
-    channels = _PNG_CHANNELS.get(kind, 0)
     packed = []
     start = 8
     while start + 8 <= len(data):
         (length,) = struct.unpack(">I", data[start : start + 4])
-        part = data[start + 4 : start + 8 + length]
+        if data[start + 4 : start + 8] == b"IDAT":
+            packed.append(data[start + 8 : start + 8 + length])
         start += 12 + length
-        if struct.pack(">I", zlib.crc32(part)) != data[start - 4 : start]:
-            raise ValueError("its bytes don't add up to its checksums")
-        if part.startswith(b"IDAT"):
-            packed.append(part[4:])
-    size = 0
-    filters = []  # places of the lines' filter types
-    for row, column, down, along in _WOVEN if woven else ((0, 0, 1, 1),):
-        if across := len(range(column, width, along)):
-            line, count = 1 + 2 * channels * across, len(range(row, height, down))
-            filters.append(size + line * np.arange(count))
-            size += line * count
+    # Each pass of an interlaced picture is stored as a picture of its own.
+    picture = np.empty((height, width, _PNG_CHANNELS.get(kind, 0)), np.uint16)
+    passes = _WOVEN if woven else ((0, 0, 1, 1),)
+    parts = [picture[row::down, column::along] for row, column, down, along in passes]
+    parts = [part for part in parts if part.size]
+    size = sum(len(part) * (1 + 2 * part[0].size) for part in parts)
     try:
-        pixels = zlib.decompressobj().decompress(b"".join(packed), size + 1)
+        whole = b"".join(packed)
+        pixels = zlib.decompressobj().decompress(whole, size + 1)
     except zlib.error as problem:
         raise ValueError(problem) from None
     if len(pixels) != size:
         raise ValueError(f"{len(pixels)} bytes of pixels instead of {size}")
-    lines = np.frombuffer(pixels, np.uint8)
-    used = lines[np.concatenate(filters)]
-    if used.max() > 4:
-        raise ValueError(f"a line has filter type {used.max()}; there are 0 to 4")
-    if not woven and not used.any():
-        values = lines.reshape(height, -1)[:, 1:].copy().view(">u2")
-        return values.reshape(height, width, channels).astype(np.uint16)
+    at = 0
+    for part in parts:
+        lines = np.frombuffer(pixels, np.uint8, len(part) * (1 + 2 * part[0].size), at)
+        at += len(lines)
+        if woven:
+            whole = zlib.compress(lines.tobytes(), 0)
+        part[:] = _without_filters(lines.reshape(len(part), -1), kind, whole).reshape(part.shape)
+    return picture
+
+
+def _without_filters(lines: NDArray[np.uint8], kind: int, packed: bytes) -> NDArray[np.uint16]:
+    """Return the numbers in (height, bytes) lines of a PNG of 16 bits; ``packed`` are the lines."""
+    import numpy as np
+
+    types = lines[:, 0]
+    if types.max() > 4:
+        raise ValueError(f"a line has filter type {types.max()}; there are 0 to 4")
+    if not types.any():
+        return lines[:, 1:].copy().view(">u2")
     from vtkmodules.vtkIOCore import vtkMemoryResourceStream
     from vtkmodules.vtkIOImage import vtkPNGReader
 
+    # A file of these lines alone: of the one that is read anything might end libpng.
+    width = lines.shape[1] // (2 * _PNG_CHANNELS[kind])
+    head = struct.pack(">IIBBBBB", width, len(lines), 16, kind, 0, 0, 0)
+    clean = _png(head, packed)
     stream, reader = vtkMemoryResourceStream(), vtkPNGReader()
-    stream.SetBuffer(data, len(data))
+    stream.SetBuffer(clean, len(clean))
     reader.SetStream(stream)
     reader.Update()
-    image = reader.GetOutput()
-    values = np.asarray(image.GetPointData().GetScalars(), np.uint16)
-    return values.reshape(height, width, -1)[::-1].copy()
+    values = np.asarray(reader.GetOutput().GetPointData().GetScalars(), np.uint16)
+    return values.reshape(len(lines), -1)[::-1]
 
 
 _PNG_CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
@@ -402,5 +412,10 @@ _WOVEN = (
 column to column."""
 
 
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+def _png(head: bytes, packed: bytes) -> bytes:
+    """Return a PNG file of its header's content and its compressed lines."""
+    file = [b"\x89PNG\r\n\x1a\n"]
+    for kind, data in ((b"IHDR", head), (b"IDAT", packed), (b"IEND", b"")):
+        checksum = zlib.crc32(data, zlib.crc32(kind))
+        file += [struct.pack(">I", len(data)), kind, data, struct.pack(">I", checksum)]
+    return b"".join(file)

@@ -319,14 +319,15 @@ def test_16_bit_colours_are_read_whole(tmp_path):
     (tmp_path / "few.png").write_bytes(whole[: 8 + len(head)] + few + chunk(b"IEND", b""))
     odd = chunk(b"IHDR", struct.pack(">IIBBBBB", 5, 4, 16, 3, 0, 0, 0))
     (tmp_path / "odd.png").write_bytes(whole[:8] + odd + rows_of + chunk(b"IEND", b""))
-    # What ends libpng, and with it the program: an unknown filter type, a wrong checksum.
     ninth = chunk(b"IDAT", zlib.compress(b"\t" + b"\x12\x34" * 15 + up))
     (tmp_path / "way.png").write_bytes(whole[: 8 + len(head)] + ninth + chunk(b"IEND", b""))
-    wrong = rows_of[:-1] + bytes([rows_of[-1] ^ 1])
-    (tmp_path / "sum.png").write_bytes(whole[: 8 + len(head)] + wrong + chunk(b"IEND", b""))
-    for name in ("cut", "few", "odd", "way", "sum"):
+    for name in ("cut", "few", "odd", "way"):
         with pytest.raises(InputError, match="read"):
             read_picture(tmp_path / f"{name}.png")
+    # A checksum that is wrong, or a part that nobody knows, ends libpng, and with it the program.
+    wrong = rows_of[:-1] + bytes([rows_of[-1] ^ 1])
+    (tmp_path / "sum.png").write_bytes(whole[: 8 + len(head)] + chunk(b"ABCD", b"x") + wrong + chunk(b"IEND", b""))
+    assert_array_equal(read_picture(tmp_path / "sum.png"), read_picture(tmp_path / "deep.png"))
 
 
 @pytest.mark.parametrize("orientation", [1, 3, 6])
