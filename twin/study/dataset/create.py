@@ -34,8 +34,8 @@ from twin.study.dataset.prepare import portable, prepare
 from twin.study.dataset.reader import DatasetReader
 from twin.study.dataset.sample import audit_sample, make_shard
 
-TRIED = 3
-"""Samples of an estimate, after as many that warm up."""
+TRIED = {False: 3, True: 1}
+"""Samples of an estimate, after as many that warm up; of sequences, which take long."""
 
 T = TypeVar("T")
 
@@ -407,7 +407,8 @@ def estimate(
     sensors = plan.sensor_of(samples - 1) + 1
     audits = len(plan.audited())
     # Random draws cost as much, without loading scipy.stats for Sobol' sequences.
-    cut = {"samples_per_shard": TRIED, "samples_per_sensor": 2 * TRIED, "sampling": "random"}
+    count = TRIED[scene.dataset.every_step]
+    cut = {"samples_per_shard": count, "samples_per_sensor": 2 * count, "sampling": "random"}
     tried = scene.model_copy(update={"dataset": scene.dataset.model_copy(update=cut)})
     Plan(tried, samples).check()
     several = sensors > 1
@@ -418,17 +419,17 @@ def estimate(
     )
     if progress is not None:
         progress("done", 1.0)
-    each = found["made_s"] / TRIED
+    each = found["made_s"] / count
     start = max(found["begun_s"] - found["made_s"], 0.0)
     sensor = max(found["another_s"] - each, 0.0)
     shared = samples * each + (sensors - 1) * sensor + audits * found["again_s"]
-    size = found["meta_b"] + found["samples_b"] / TRIED * samples + found["sensor_b"] * sensors
-    rows = f" of {found['rows'] / TRIED:g} rows each" if scene.dataset.every_step else ""
+    size = found["meta_b"] + found["samples_b"] / count * samples + found["sensor_b"] * sensors
+    rows = f" of {found['rows'] / count:g} rows each" if scene.dataset.every_step else ""
     on = f"{counted(sensors, 'sensor')}, in {counted(plan.shards, 'file')}"
     seconds = start + shared / workers
     text = (
         f"about {_duration(seconds)} with {counted(workers, 'worker')}, a free core each: "
-        f"{{sample_s:.3g}} s of CPU a sample (of {TRIED} tried{again}), {{again_s:.2g}} s for each "
+        f"{{sample_s:.3g}} s of CPU a sample (of {count} tried{again}), {{again_s:.2g}} s for each "
         f"of the {audits} computed again, {{begin_s:.2g}} s to begin"
     )
     if sensors > 1:
@@ -445,23 +446,24 @@ def estimate(
     if plan.alike:
         facts.append(fact("warning", plan.alike))
     if found["failed"]:
-        facts.append(fact("failures", f"{found['failed']} of {TRIED} tried: {found['reason']}"))
+        facts.append(fact("failures", f"{found['failed']} of {count} tried: {found['reason']}"))
     return facts
 
 
 def _measured(tried: Scene, several: bool, progress: Progress | None) -> dict[str, Any]:
     """Return CPU seconds and bytes of a few samples of one made sensor, and of ``several``."""
+    count = TRIED[tried.dataset.every_step]
     with tempfile.TemporaryDirectory(prefix="twin-estimate-") as name, one_thread():
         places = Places(Path(name))
         places.meta.mkdir()
-        prepare(Plan(tried, 2 * TRIED + 1), places, progress)
+        prepare(Plan(tried, 2 * count + 1), places, progress)
         with places.job.unpacked() as folder:
             first, begun = _timed(make_shard, folder, 0)
             shard, made = _timed(make_shard, folder, 1)
-            _, again = _timed(audit_sample, folder, TRIED)
+            _, again = _timed(audit_sample, folder, count)
             another = _timed(make_shard, folder, 2)[1] if several else 0.0
         size = float(sum(path.stat().st_size for path in places.meta.iterdir()))
-    rows = TRIED
+    rows = count
     if tried.dataset.every_step:
         import pyarrow as pa
         import pyarrow.parquet as pq
