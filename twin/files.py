@@ -330,8 +330,8 @@ def png_bytes(picture: Picture) -> bytes:
 
 def picture_of_png(data: bytes) -> Picture | None:
     """Return the (height, width, channels) uint16 picture in the bytes of a PNG file whose header
-    is whole, None of one of fewer bits: Pillow reads colours as 8 bits. A `ValueError` says that
-    pixels are damaged, of which VTK would crash.
+    is whole, None of one of fewer bits: Pillow reads colours as 8 bits. Pixels that are
+    damaged, of which VTK would crash, raise a `ValueError`.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""The papers' numbers beside the twin's: a number, its spread over runs, and the verdict.
+"""The papers' numbers and the twin's: a number, its spread over runs, and the verdict.
 
 A gap is explained by a cause that was switched off, or by values of what no paper prints;
 `Record.settled` compares these over all numbers of a paper.

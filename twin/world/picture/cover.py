@@ -388,7 +388,7 @@ class SeeThrough:
         """Return (n, 3) places, (n, 3) normals and (k, 3) triangles of what the camera sees of a
         probe; None: of the sensing surface at rest, with normals into the rubber."""
         camera, _ = scene.imaging
-        # Light that reaches a probe crosses the surface beside the picture, too.
+        # Light that reaches a probe crosses the surface outside the picture, too.
         more = 1.5 if probe is None else 0.0
         columns, rows = (
             np.linspace(-more * size - 0.5, (1 + more) * size - 0.5, _CELLS + 1)

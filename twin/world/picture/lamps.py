@@ -35,7 +35,7 @@ class Lamps:
     power
         (n, leds) 0 where the LED's light does not arrive.
     change
-        (n, leds, 3) of the power along x, y and z, 1/mm; none where it isn't asked for, and of LEDs
+        (n, leds, 3) of the power along x, y and z, 1/mm; none where it isn't wanted, and of LEDs
         in the body.
     """
 
@@ -46,7 +46,7 @@ class Lamps:
     @staticmethod
     def at(points: Points, scene: Scene, *, changing: bool = False) -> Lamps:
         """Return each LED's virtual image for each of (n, 3) points in the body, with the change of
-        its power around them if asked for.
+        its power around them if that is wanted.
 
         Raises
         ------

@@ -173,7 +173,7 @@ class _FoldedCamera(mi.Sensor):
         return mi.Ray3f(start, dr.normalize(mi.Vector3f(ray.z, ray.w, -1))), mi.Color3f(light)
 
     def sample_ray_differential(self, *sample: Any) -> Any:
-        """Return `sample_ray`; no texture needs the rays beside it."""
+        """Return `sample_ray`; no texture needs its neighbours."""
         ray, light = self.sample_ray(*sample)
         return mi.RayDifferential3f(ray), light
 

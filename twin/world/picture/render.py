@@ -144,7 +144,7 @@ class Renderer:
 
     @staticmethod
     def method(scene: Scene) -> Variant:
-        """Return how to render a scene: as its ``renderer`` says.
+        """Return how to render a scene: as its ``renderer`` names it.
 
         With ``auto``, and no variant named in the environment, a number in ``accuracy.centroid_px``
         takes the cheapest way, and ``auto`` there Mitsuba where it works.
@@ -184,7 +184,7 @@ class Renderer:
         return chosen
 
     def _like(self, variant: Variant, exposure: float | None = None, **tables: Any) -> Renderer:
-        """Return a renderer, of this exposure unless told, of a scene with other tables."""
+        """Return a renderer, of this exposure by default, of a scene with other tables."""
         gain = self._gain if exposure is None else exposure * self._top
         scene = self.scene.model_copy(update=tables)
         return Renderer(scene, self._rest, variant, self.subpixels, self.shadows, gain)

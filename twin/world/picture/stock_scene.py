@@ -5,7 +5,7 @@ Any path integrator can make the picture, with thousands of paths a pixel where
 `twin.world.picture.path_tracer` takes 64: LEDs are found by chance only.
 
 Stock Mitsuba has pinholes and thin lenses. Of any other lens it makes a finer and wider picture by
-a pinhole, and `_LENS_FILE` says which place of that each pixel shows, and how bright.
+a pinhole, and `_LENS_FILE` has which place of that each pixel shows, and how bright.
 
 Validity: LEDs that shine by the cosine. The rubber has no sides but the sensing surface at rest
 behind which a probe is seen, and the even share of light (``light.ambient``) has no source, so it
