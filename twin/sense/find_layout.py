@@ -371,7 +371,7 @@ def _lattice_at(
     if LEAST_DOTS <= len(spots) <= MOST_SPOTS:
         index, on = _grow(spots.centre_px)
     believed = _believable(spots.centre_px, index, on)
-    if believed:  # with the dots that lie farthest beside their sites
+    if believed:  # with the dots that lie farthest off their sites
         tree = cKDTree(spots.centre_px)
         while _add(spots.centre_px, tree, index, on, 1, LAST_GATE):
             pass
@@ -560,7 +560,7 @@ def _refusal(away: Singles, noise: float, most: int) -> str:
         )
     return (
         f"the rest picture shows {most} spots, but they form no lattice: a layer is rows and "
-        "columns (or hexagons) of dots at most 0.12 of the pitch beside their places (standard "
+        "columns (or hexagons) of dots at most 0.12 of the pitch off their places (standard "
         "deviation), fewer than half of them missing; is this a picture without load, and are the "
         "dots in focus? Dots without order: give twin.track their places, {name: (n, 2) px}"
     )

@@ -96,7 +96,7 @@ def layout_to_files(
         f"{name:11s} {len(layer)} {layer.polarity} dots, {layer.columns} columns x {layer.rows} "
         f"rows, {layer.lattice}, pitch {layer.pitch_px:.4g} px, diameter {layer.diameter_px:.3g} "
         f"px, turned by {layer.angle_deg:.2g} deg, dots {layer.scatter_px / layer.pitch_px:.2g} of "
-        "the pitch beside their places (standard deviation)"
+        "the pitch off their places (standard deviation)"
         for name, layer in found.layers.items()
     ]
     if scene is not None and scene.camera is not None:
@@ -266,8 +266,8 @@ def _table(layer: FoundLayout.Layer, own: _Drawn, name: str) -> list[str]:
     if own.depth_mm is not None:
         lines.append('assumed.depth_mm = "as given or drawn: no picture shows it"')
     if own.pitch_mm is not None and layer.scatter_px > BY_HAND * layer.pitch_px:
-        beside = own.pitch_mm * layer.scatter_px / layer.pitch_px
-        lines.append(f"# dots lie beside their places; in [tolerance]: print_mm = {beside:.2g}")
+        off = own.pitch_mm * layer.scatter_px / layer.pitch_px
+        lines.append(f"# dots lie off their places; in [tolerance]: print_mm = {off:.2g}")
     if abs(layer.angle_deg) > 0.5:
         turn = f"tilt_deg = [0, 0, {layer.angle_deg:.1f}]"
         lines.append(f"# rows are turned in the picture; in [camera]: {turn}")
