@@ -14,7 +14,7 @@ from twin.errors import ContactError, NotSettled, TwinError
 from twin.parts.body import Finger
 from twin.parts.material import Material
 from twin.parts.press import Cone, Cylinder, Object, Pillar, Sphere, Stl
-from twin.world.contact import body_strain, round_slab, whole_body
+from twin.world.contact import body_strain, mixed_rubber, round_slab, whole_body
 from twin.world.contact.body_strain import BodyStrain
 from twin.world.contact.finite_strain import measured_linearity
 from twin.world.elasticity.factor import Factor
@@ -210,6 +210,22 @@ def test_load_steps_end_where_one_step_does(monkeypatch):
 
 
 @pytest.mark.slow
+def test_sharp_face_that_is_pressed_in_by_its_own_size_is_solved_in_load_steps_as_on_the_slab():
+    """Newton's steps from the linear solution find no balance of contact at its rim."""
+    sides = {f"body.{name}_mm": length for name, length in (("width", 13.0), ("length", 13.0), ("thickness", 10.0))}
+    sensor, press = made("linear", **sides), twin.Press(probe=Cylinder(diameter_mm=1.13), force_n=(0, 0, 0.25))
+    state = sensor.press(press)
+    size = state.contact_radius_mm
+    places = size * np.array([[r, 0.0, z] for z in (0.6, 1.0, 2.0) for r in (0.0, 0.5, 1.0, 1.5, 2.5)])
+    given = press, sensor.nominal.body, RUBBER, state, places
+    slab, more = round_slab.SlabStrain(*given), BodyStrain(*given)
+    left = largest(more.displacement(places) - slab.displacement(places)) / largest(sensor.displacement(places, state))
+    assert left < more.error.markers
+    sunk = abs(more.indentation_mm - slab.indentation_mm) / state.indentation_mm
+    assert sunk < more.error.indentation < 0.02
+
+
+@pytest.mark.slow
 def test_rubber_that_stiffens_is_pressed_deep_in_load_steps_as_by_another_code():
     """Yeoh's law, a/R 0.86: linear theory is 12.6 % too deep. NGSolve as in tests/reference, its slab 60 mm wide."""
     of = {"material.law_ratios": [0.0128, 0.32308], "body.thickness_mm": 2.11265}
@@ -275,7 +291,7 @@ def test_probe_held_by_a_motion_carries_the_force_of_another_code():
 )
 def test_step_that_is_refused_leaves_the_state_before_it_with_its_strain(probe, refused, words, monkeypatch):
     """Without friction nothing holds the first one aside; the other one fails at finite strain only, in one step."""
-    monkeypatch.setattr(round_slab, "LOAD_STEPS", (1.0, 1.0))
+    monkeypatch.setattr(mixed_rubber, "LOAD_STEPS", (1.0, 1.0, 1.0))
     steps = (twin.Step(force_n=(None, None, 1.0)), twin.Step(force_n=refused))
     sensor = made()
     with pytest.raises(ContactError, match=words) as caught:
@@ -716,6 +732,7 @@ def test_a_scene_of_the_lowest_poisson_ratio_is_solved_as_casting_leaves_it():
         ({"friction": 0.5, "steps": ROLLED, "force_n": None}, {}, "doesn't roll"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0), "friction": 0.5}, {}, "upright probes"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "touches with its rim, solved from 0.15"),
+        ({"probe": Pillar(width_mm=0.6)}, {}, "to 0.28 .less force., or with a rim of 0.06 mm it is solved"),
         (GUIDED, {}, "torques across its direction.*guided along it"),
         ({"at_mm": (1, 1), "direction": "normal"}, {}, 'force_n = .*across its direction.*axes = "probe"'),
         ({}, {"poisson_ratio": 0.4}, "poisson_ratio: as made below 0.44"),  # not the drawn number

@@ -277,9 +277,9 @@ def test_sphere_that_slides_is_rubbed_by_the_coefficient_times_its_pressure_alon
         return 0.9 + 0.8 * np.maximum(np.linalg.norm(points - approach.touch_mm, axis=1) - 1.2, 0.0)
 
     mesh = refined(body_mesh(body, "sketch"), body, wanted, local=True)
-    rubber = Rubber(mesh, body, LAWS[0])
     touch = SurfaceTouch(mesh, body, approach, True, [(approach.touch_mm, 2.5)])
-    contact = RubberContact(rubber, [touch], 1.0, friction)
+    contact = RubberContact(mesh, body, LAWS[0], [touch], 1.0, friction)
+    rubber = contact.rubber
     by_motion = np.zeros((1, 6), bool)
     place = deep * np.eye(6)[2][None]
     guess = replace(contact.at_rest(), pose=place, active=touch.rest_gap(np.zeros(6))[0] < deep / 2)

@@ -4,7 +4,7 @@ finger, on a mesh of the whole body.
 
 The mesh is the body's coarsest one, refined under the probes and at the rims of flat faces. The
 linear solution's Newton steps begin at the contact of `pressing`, the other one's at the linear
-solution.
+solution, or go on from one load to the next.
 
 A probe with friction takes both solutions along its path, in the same few parts of every step. What
 touches in a part first slides freely; then friction acts from where it touched
@@ -46,7 +46,6 @@ from twin.world.contact.round_slab import FiniteStrain, SlabStrain
 from twin.world.contact.whole_body import (
     LAST_STEP,
     PART_STEP,
-    Rubber,
     RubberContact,
     SurfaceTouch,
 )
@@ -86,6 +85,10 @@ _WAY = 0.4
 _LEAST_RIM, _COARSE_RIM = 0.1, 0.2
 """Least radius of a flat face's rim over its half width, and on the coarser mesh. On rubber thicker
 than the face is wide what linear theory leaves out hardly depends on it (docs/validity.md)."""
+
+_HARDEST, _SUNK = 0.28, 0.35
+"""Mean pressure over Young's modulus, and indentation over the half width, beyond both of which
+Newton's steps hardly settle on a face whose rim is solved rounder."""
 
 _TOLERANCE = Share(indentation=2e-4, markers=1.5e-3)
 """What Newton's steps leave, and both meshes miss, over the largest displacement."""
@@ -141,8 +144,8 @@ _DEEPER = 0.07
 """The indentation's error over what linear theory leaves out of it: meshes as coarse under the
 probe have this in common, most of it at the contact's end."""
 
-_CELLS, _COARSE_CELLS, _SEEN, _HIGH, _OFF = (16, 32), (16,), 1.8, 1.0, 0.02
-"""Cells of the splines that stand for a probe's triangles along a side, and those of the coarser
+_CELLS, _SEEN, _HIGH, _OFF = (16, 32), 1.8, 1.0, 0.02
+"""Cells of the splines that stand for a probe's triangles along a side, first those of the coarser
 mesh; half of the side over the contact's radius; how high above its lowest point, over the
 indentation, the surface has to be smooth; and how far it may lie off, over that."""
 
@@ -211,18 +214,13 @@ class BodyStrain(FiniteStrain):
                 own @ np.radians(at.turns_deg) for own, at in zip(axes, _probes(state), strict=True)
             ]
             sharp = [one.held_turned(turn) for one, turn in zip(sharp, turns, strict=True)]
-        touched = list(zip(sharp, _probes(state), strict=True))
-        smooth = [_smooth(_rounded(one, _LEAST_RIM), at, _CELLS) for one, at in touched]
-        approaches = [one for one, _ in smooth]
-        for one, made in zip(sharp, approaches, strict=True):
-            if any(one.tilt_deg[:Z]) and made.probe is not one.probe:
-                least_mm = _LEAST_RIM * min(half_extent(one.probe))
-                _refuse(
-                    material,
-                    "press.probe.edge_mm: a tilted face touches with its rim, solved from "
-                    f"{least_mm:.3g} mm on",
-                )
-        off = max(share for _, share in smooth)
+        smooth = [_smooth(one, at) for one, at in zip(sharp, _probes(state), strict=True)]
+        approaches = [_rounded(one, _LEAST_RIM) for one, _, _ in smooth]
+        self._rounder = [_rounded(one, _COARSE_RIM) for _, one, _ in smooth]
+        for one, made, at in zip(sharp, approaches, _probes(state), strict=True):
+            if made.probe is not one.probe:
+                _refuse(material, _too_sharp(one, at, material))
+        off = max(share for _, _, share in smooth)
         if off > _OFF:
             part = f"{100 * off:.2g} % of the indentation" if math.isfinite(off) else "its border"
             _refuse(
@@ -230,9 +228,6 @@ class BodyStrain(FiniteStrain):
                 f"press.probe: edges, steps or borders lie under the contact ({part} off a smooth "
                 "surface); smooth ones are solved",
             )
-        self._rounder = [
-            _smooth(_rounded(one, _COARSE_RIM), at, _COARSE_CELLS)[0] for one, at in touched
-        ]
         self._body = body
         self._material = material
         self._path = tuple(path) or (state,)
@@ -252,7 +247,8 @@ class BodyStrain(FiniteStrain):
         if len(watched) == 0:  # below the contact, up to its radius deep
             centre, size = self._contacts[0][1][-1]
             inward = body.piece_normals(centre[None])[0, 0]
-            watched = centre + size * np.linspace(0.3, 1.0, 8)[:, None] * inward
+            deep = min(size, float(np.ptp(body.bounds_mm, axis=0)[Z]) / 2.0)
+            watched = centre + deep * np.linspace(0.3, 1.0, 8)[:, None] * inward
         # Each share is the largest of all probes'.
         stiffens, radius_mm = strain_law(material).stiffens, state.contact_radius_mm
         shares = [
@@ -366,10 +362,8 @@ class BodyStrain(FiniteStrain):
             for approach, near in contacts:
                 reaches = [(centre, _REACH * size) for centre, size in near]
                 touches.append(SurfaceTouch(mesh, self._body, approach, self._rubs, reaches))
-            rubber = Rubber(mesh, self._body, self._material)
-            modulus = self._material.youngs_modulus_mpa
             size = max(size for _, near in contacts for _, size in near)
-            contact = RubberContact(rubber, touches, size, self._friction, modulus)
+            contact = RubberContact(mesh, self._body, self._material, touches, size, self._friction)
         else:
             contact = like.contact
         if self._rubs:
@@ -512,11 +506,18 @@ class BodyStrain(FiniteStrain):
                 pose[number, : Z + 1] = self.axes[number] @ one.move_mm
                 under.append(_under_patches(one, contact.touches[number].rest_mm))
             start = replace(start, pose=pose, active=np.concatenate(under))
-        linear = contact.settled(start, by_force, given, LAST_STEP, linear=True)
-        start = replace(linear, pressure=linear.pressure * contact.lift)
+
+        def settle(
+            state: RubberContact.State, share: float, *, linear: bool
+        ) -> RubberContact.State:
+            to = LAST_STEP if share == 1.0 else PART_STEP
+            return contact.settled(state, by_force, share * given, to, linear=linear)
+
+        linear = settle(start, 1.0, linear=True)
         if like is not None:
-            start = like.finite
-        return linear, contact.settled(start, by_force, given, LAST_STEP, linear=False)
+            return linear, settle(like.finite, 1.0, linear=False)
+        start = replace(linear, pressure=linear.pressure * contact.lift)
+        return linear, contact.rubber.loaded(settle, start)
 
 
 def _away(state: ContactState, points: Points) -> Floats:
@@ -543,19 +544,38 @@ def _rounded(approach: Approach, share: float) -> Approach:
     return approach if probe.edge_mm >= _LEAST_RIM * half else approach.with_edge(share * half)
 
 
-def _smooth(
-    approach: Approach, state: ContactState, cells: Sequence[int]
-) -> tuple[Approach, float]:
-    """Return a probe whose triangles are smooth around its contact, by the first of these numbers
-    of cells that is close to them or the last, and how far it is off, over the indentation."""
+def _smooth(approach: Approach, state: ContactState) -> tuple[Approach, Approach, float]:
+    """Return a probe whose triangles are smooth around its contact, by the first number of cells
+    that is close to them or the last; that of the first number; and how far the former is off, over
+    the indentation."""
     middle, size = _place(state)
     at = approach.axes @ (middle - approach.axis_mm - state.move_mm)
     deep = state.indentation_mm
-    for count in cells:
-        smooth, off_mm = approach.smoothed(at[:Z], _SEEN * size, _HIGH * deep, count)
-        if off_mm < _OFF * deep:
+    fits = []
+    for count in _CELLS:
+        fits.append(approach.smoothed(at[:Z], _SEEN * size, _HIGH * deep, count))
+        if fits[-1][1] < _OFF * deep:
             break
-    return smooth, off_mm / deep
+    (smooth, off_mm), (coarse, _) = fits[-1], fits[0]
+    return smooth, coarse, off_mm / deep
+
+
+def _too_sharp(approach: Approach, state: ContactState, material: Material) -> str:
+    """Return why a flat face isn't solved with a rounder rim than its own; empty if it is."""
+    half = min(half_extent(approach.probe))
+    if any(approach.tilt_deg[:Z]):
+        return (
+            "press.probe.edge_mm: a tilted face touches with its rim, solved from "
+            f"{_LEAST_RIM * half:.3g} mm on"
+        )
+    force_n = float(approach.axes[Z] @ state.force_n)
+    hard = force_n / (state.area_mm2 * material.youngs_modulus_mpa)
+    if hard < _HARDEST or state.indentation_mm < _SUNK * half:
+        return ""
+    return (
+        f"press.probe.edge_mm: a sharp face's mean pressure is {hard:.2g} of Young's modulus; to "
+        f"{_HARDEST:g} (less force), or with a rim of {_COARSE_RIM * half:.3g} mm it is solved"
+    )
 
 
 def _from_rim(points: Points, approach: Approach) -> Floats:

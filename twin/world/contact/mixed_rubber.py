@@ -22,6 +22,10 @@ from twin.parts.material import Material, shear_modulus
 from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
 
+LOAD_STEPS = 0.2, 1.5, 0.04
+"""First step of the force where Newton's steps fail from the linear solution, over the force, how
+each grows from the one before, and the least to which it is halved where they fail again."""
+
 _MIXED, _MIXED_TO = 5, 0.2
 """How many changes are mixed, and how much shorter the last mixed step is than Newton's, after
 which less is left."""
@@ -33,8 +37,28 @@ class _Solved(Protocol):
     @property
     def unknowns(self) -> Floats: ...
 
+    @property
+    def pose(self) -> Any: ...
+
+    @property
+    def pressure(self) -> Floats: ...
+
 
 State = TypeVar("State", bound=_Solved)
+
+
+class _Settle(Protocol[State]):
+    def __call__(self, state: State, share: float, *, linear: bool) -> State: ...
+
+
+def _onward(state: State, before: State | None, share: float) -> State:
+    """Return the state a share of the way on that led to a state, from one before or from rest."""
+
+    def on(name: str) -> Any:
+        now = getattr(state, name)
+        return now + share * (now - (getattr(before, name) if before else 0.0))
+
+    return replace(state, **{name: on(name) for name in ("unknowns", "pose", "pressure")})
 
 
 class MixedRubber:
@@ -43,9 +67,16 @@ class MixedRubber:
     Its unknowns are the displacements of every node, mm, then the pressures of the corners, MPa. A
     mesh gives ``_axes`` (displacements of a node), ``_moves`` (the number of displacements),
     ``_row`` (m, r) (the unknowns of an element, last the pressures), ``_volume`` (m, q) and
-    ``_shares`` (q, corners) of the integration points, ``_free``, ``_scale`` and ``_node`` (the
-    unknowns that are not held, and `Factor`'s arguments for all), and the methods that raise
-    NotImplementedError, for some elements (m,).
+    ``_shares`` (q, corners) of the integration points, ``_scale`` and ``_node`` (`Factor`'s
+    arguments for all unknowns), the methods that raise NotImplementedError, for some elements (m,),
+    and calls `_hold`.
+
+    Attributes
+    ----------
+    nodal
+        (m,) Displacements of the nodes that may touch.
+    nodal_free
+        (m,) Which of them are not held: to these stiffnesses are condensed (`Factor.schur`).
     """
 
     _axes: int
@@ -53,6 +84,8 @@ class MixedRubber:
     _row: Ints
     _volume: Floats
     _shares: Floats
+    nodal: Ints
+    nodal_free: Bools
     _free: Ints
     _scale: Floats
     _node: Ints
@@ -63,10 +96,14 @@ class MixedRubber:
         self._law_name = material.law
         self._law = strain_law(material)
         self._shear = shear_modulus(1.0, nu)
-        self.touched = np.zeros(0, int)
-        """(m,) Unknowns to which stiffnesses are condensed, of `Factor.schur`."""
         apart = 1.0 - 2.0 * nu
         self._softness = apart / (self._shear * (2.0 * nu - self._law.bulk * apart))
+
+    def _hold(self, held: Bools, touching: Ints) -> None:
+        """Hold some of the unknowns (n,); ``touching`` (k,) are the nodes that may touch."""
+        self._free = np.flatnonzero(~held)
+        self.nodal = (self._axes * touching[:, None] + np.arange(self._axes)).ravel()
+        self.nodal_free = ~held[self.nodal]
 
     def displacement(self, unknowns: Floats) -> Floats:
         """Return the displacement (N, axes) of the nodes, mm."""
@@ -93,14 +130,10 @@ class MixedRubber:
         blocks = self._blocks(unknowns, np.arange(len(self._row)))
         return MixedRubber.summed(blocks, self._row, self.size)
 
-    def are_free(self, unknowns: Ints) -> Bools:
-        """Return which of some unknowns are not held."""
-        return np.isin(unknowns, self._free)
-
     def stiffness(self, tangent: Any) -> Factor:
-        """Return the factor of the free unknowns' tangent, condensed to `touched`."""
+        """Return the factor of the free unknowns' tangent, condensed to those that may touch."""
         free = self._free
-        last = np.searchsorted(free, self.touched) if len(self.touched) else None
+        last = np.searchsorted(free, self.nodal[self.nodal_free]) if len(self.nodal) else None
         return Factor(tangent[free][:, free], self._scale[free], node=self._node[free], last=last)
 
     @cached_property
@@ -235,6 +268,33 @@ class MixedRubber:
             return after(state, self.rest_stiffness)
 
         return self.newton(at_rest, state, steps, _MIXED_TO * tolerance, begin)
+
+    @staticmethod
+    def loaded(settle: _Settle[State], linear: State, *, at_once: bool = False) -> State:
+        """Return the finite-strain solution: from the linear one, else, unless ``at_once``, in load
+        steps. ``settle`` returns the solution that begins at a state, under a share of the force.
+        """
+        try:
+            return settle(linear, 1.0, linear=False)
+        except NotSettled:
+            if at_once:
+                raise
+        step, growth, least = LOAD_STEPS
+        state = settle(_onward(linear, None, step - 1.0), step, linear=True)
+        before: State | None = state
+        gone, done = step, 0.0
+        while done < 1.0:
+            step = min(step, 1.0 - done)
+            try:
+                after = settle(_onward(state, before, step / gone), done + step, linear=False)
+            except NotSettled:
+                step /= 2.0
+                if step < least:
+                    raise
+            else:
+                before, state = (state, after) if done else (None, after)
+                gone, done, step = step, done + step, growth * step
+        return state
 
     @np.errstate(over="ignore", invalid="ignore")
     def newton(

@@ -104,10 +104,6 @@ on the mesh that estimates the error by more than the other; their most."""
 _BALANCES, _BALANCED = 60, 1e-9
 """Most iterations of a balance of contact, and the relative step at which they end."""
 
-LOAD_STEPS = 0.2, 0.04
-"""First step of the force where Newton's steps fail from the linear solution, and the least to
-which it is halved where they fail again, over the force."""
-
 _RESIDUAL = 1e-9
 """Of a linear solution, relative."""
 
@@ -348,7 +344,7 @@ class SlabStrain(FiniteStrain):
             (low, high), count, reach, share, self._radii_mm[other], self._thick_mm
         )
         slab = Slab(grid, self._material)
-        touch = _Touch(slab, approach.shape, size)
+        touch = _Touch(grid, approach.shape, size)
         force = float(state.force_n[Z]) / self._material.youngs_modulus_mpa
         if other and fineness > 1.0:  # from the solutions on the mesh that counts
             start = self._pair.on(slab, touch, self._pair.linear)
@@ -359,10 +355,15 @@ class SlabStrain(FiniteStrain):
             none = np.zeros(len(touch.rest_mm))
             start = _Balance(np.zeros(slab.size), state.indentation_mm, none, touch.rest_mm < size)
             linear = self.settled(slab, touch, start, force, linear=True)
-            finite = self._finite(slab, touch, linear, force)
+
+            def settle(state: _Balance, share: float, *, linear: bool) -> _Balance:
+                to = _TOLERANCE if share == 1.0 else _NEARLY
+                return self.settled(slab, touch, state, share * force, linear=linear, to=to)
+
+            finite = slab.loaded(settle, linear, at_once=self._coarse)
         linear_mm = slab.displacement(linear.unknowns)
         moved = np.zeros((1, MOTIONS))
-        moved[0, Z] = finite.place - linear.place
+        moved[0, Z] = finite.pose - linear.pose
         finite_mm = slab.displacement(finite.unknowns)
         wider = touch.end_mm(finite.pressure, finite_mm) / touch.end_mm(linear.pressure)
         return _Pair(
@@ -375,34 +376,6 @@ class SlabStrain(FiniteStrain):
             linear=linear,
             finite=finite,
         )
-
-    def _finite(self, slab: Slab, touch: _Touch, linear: _Balance, force: float) -> _Balance:
-        """Return the finite-strain solution: from the linear one at once, else in load steps from
-        that of the first one's force."""
-        try:
-            return self.settled(slab, touch, linear, force, linear=False)
-        except NotSettled:
-            if self._coarse:
-                raise
-        step, least = LOAD_STEPS
-        start = replace(
-            linear,
-            unknowns=step * linear.unknowns,
-            place=step * linear.place,
-            pressure=step * linear.pressure,
-        )
-        state = self.settled(slab, touch, start, step * force, linear=True)
-        done = 0.0
-        while done < 1.0:
-            load = min(done + step, 1.0)
-            try:
-                state = self.settled(slab, touch, state, load * force, linear=False)
-                done = load
-            except NotSettled:
-                step /= 2.0
-                if step < least:
-                    raise
-        return state
 
     def settled(
         self,
@@ -422,8 +395,8 @@ class SlabStrain(FiniteStrain):
             push = np.zeros(slab.size)
             # With the present tangent one step of contact converges as fast as the rubber does.
             most = _BALANCES if stiffness is slab.rest_stiffness else 1
-            now, push[touch.nodal] = touch.balanced(
-                state, loose[touch.nodal], stiffness, force, most, linear=linear
+            now, push[slab.nodal] = touch.balanced(
+                slab, state, loose[slab.nodal], stiffness, force, most, linear=linear
             )
             return replace(now, unknowns=loose + slab.moved_by(stiffness, push, _RESIDUAL))
 
@@ -599,7 +572,7 @@ class Slab(MixedRubber):
         held = np.zeros(self.size, bool)
         held[2 * number[0]] = True
         held[2 * number[:, -1]] = held[2 * number[:, -1] + 1] = True
-        self._free = np.flatnonzero(~held)
+        self._hold(held, number[: 2 * grid.touching + 1, 0])
         quarter = np.repeat(self._volume.sum(axis=1) / 18.0 / self._shear, 4)
         self._scale = MixedRubber.gathered(self._row[:, 18:], quarter, self.size)
         corner_node = number[::2, ::2].ravel()
@@ -644,8 +617,8 @@ class _Touch:
     """The integration points (q,) of the slab's surface that a probe may touch, and the springs
     between them, for a contact of a size."""
 
-    def __init__(self, slab: Slab, shape: Shape, size_mm: float) -> None:
-        self.grid = grid = slab.grid
+    def __init__(self, grid: Slab.Grid, shape: Shape, size_mm: float) -> None:
+        self.grid = grid
         self.spring = _SPRING / size_mm
         self.gap_weight = _GAP_WEIGHT / size_mm
         r = grid.r_mm[: grid.touching + 1]
@@ -658,9 +631,6 @@ class _Touch:
         self.number, local = np.unique(nodes, return_inverse=True)
         self.weights = np.zeros((len(nodes), len(self.number)))
         np.put_along_axis(self.weights, local.reshape(nodes.shape), values, axis=1)
-        self.nodal = (2 * self.number[:, None] + np.arange(2)).ravel()
-        self._free = slab.are_free(self.nodal)
-        slab.touched = self.nodal[self._free]
         self._border_mm = r
         self._shape = shape
 
@@ -686,6 +656,7 @@ class _Touch:
 
     def balanced(
         self,
+        slab: Slab,
         state: _Balance,
         loose: Floats,
         stiffness: Factor,
@@ -696,11 +667,11 @@ class _Touch:
     ) -> tuple[_Balance, Floats]:
         """Return the state in which contact balances the slab condensed to the nodes that may
         touch, and the forces on these (m,); ``loose`` is where they are without contact."""
-        free = self._free
-        moved = state.unknowns[self.nodal]
+        free = slab.nodal_free
+        moved = state.unknowns[slab.nodal]
         spring = self.spring
         for _ in range(most):
-            gap, push, curvature = self.gaps(moved.reshape(-1, 2), state.place, linear=linear)
+            gap, push, curvature = self.gaps(moved.reshape(-1, 2), state.pose, linear=linear)
             weighed = state.pressure - self.gap_weight * (gap + state.pressure / spring)
             active = weighed > 0.0 if state.pressure.any() else state.active
             active = active & np.isfinite(gap)
@@ -732,8 +703,8 @@ class _Touch:
             pressure = np.zeros(len(active))
             pressure[on] = -spring * (gap[on] + closing @ step - motion)
             settled = np.array_equal(active, state.active)
-            state = replace(state, place=state.place + motion, pressure=pressure, active=active)
-            largest = max(np.abs(moved).max(), abs(state.place))
+            state = replace(state, pose=state.pose + motion, pressure=pressure, active=active)
+            largest = max(np.abs(moved).max(), abs(state.pose))
             settled &= max(np.abs(step).max(), abs(motion)) < _BALANCED * largest
             if settled or most == 1:
                 bearing = np.zeros(len(moved))
@@ -763,11 +734,11 @@ class _Touch:
 
 @dataclass(frozen=True)
 class _Balance:
-    """A state: the slab's unknowns, the probe's place along z, mm, the (q,) pressures over Young's
+    """A state: the slab's unknowns, the probe's pose along z, mm, the (q,) pressures over Young's
     modulus, and the points at which they were sought."""
 
     unknowns: Floats
-    place: float
+    pose: float
     pressure: Floats
     active: Bools
 

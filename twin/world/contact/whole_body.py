@@ -88,9 +88,9 @@ _SLOW = 0.3
 _MIXED_STEPS = 10
 """Most of Newton's steps by the stiffness at rest."""
 
-_FEW_BALANCES, _MOST_BALANCES, _BALANCED, _FULL_STEPS = 30, 100, 1e-6, 15
-"""Most iterations of a balance of contact at finite strain by the tangent at rest, and of others,
-the relative step at which they end, and after how many steps are shortened."""
+_FEW_BALANCES, _MOST_BALANCES, _BALANCED, _FULL_STEPS = 12, 100, 1e-6, 15
+"""Most iterations of a balance of contact at finite strain without friction, and of others, the
+relative step at which they end, and after how many steps are shortened."""
 
 _STRAINED = 0.03
 """Elements with no larger change of F, or pressure over the shear modulus, have the tangent of
@@ -110,11 +110,14 @@ _LET_GO = 5
 
 
 class Rubber(MixedRubber):
-    """Rubber in the shape of a mesh, held on the body's held pieces."""
+    """Rubber in the shape of a mesh, held on the body's held pieces; ``touching`` (k,) are nodes
+    that may touch."""
 
     _axes = 3
 
-    def __init__(self, mesh: Mesh, body: Body, material: Material) -> None:
+    def __init__(
+        self, mesh: Mesh, body: Body, material: Material, touching: Ints | None = None
+    ) -> None:
         super().__init__(material)
         self.mesh = mesh
         places, weights = quadrature(3)
@@ -130,7 +133,7 @@ class Rubber(MixedRubber):
         self._row = np.hstack([moved, self._moves + mesh.tets[:, :4]])
         held = np.zeros(self.size, bool)
         held[: self._moves] = np.repeat(mesh.nodes_on(body.held_pieces), 3)
-        self._free = np.flatnonzero(~held)
+        self._hold(held, np.zeros(0, int) if touching is None else touching)
         tenth = np.repeat(self._volume.sum(axis=1) / 20.0 / self._shear, 4)
         self._scale = MixedRubber.gathered(self._row[:, 30:], tenth, self.size)
         nodes = np.arange(len(mesh.points))
@@ -444,18 +447,18 @@ class RubberContact:
 
     def __init__(
         self,
-        rubber: Rubber,
+        mesh: Mesh,
+        body: Body,
+        material: Material,
         touches: Sequence[SurfaceTouch],
         size_mm: float,
         friction: float = 0.0,
-        youngs_modulus_mpa: float = 1.0,
     ) -> None:
-        self.rubber = rubber
         self._spring = _SPRING / size_mm
         self._gap_weight = _GAP_WEIGHT / size_mm
         self._friction = friction
         self._rubs = friction > 0.0
-        self._modulus_mpa = youngs_modulus_mpa
+        self._modulus_mpa = material.youngs_modulus_mpa
         self.touches = touches
         counts = [len(touch.rest_mm) for touch in touches]
         ends = np.cumsum([0, *counts])
@@ -468,9 +471,7 @@ class RubberContact:
         nodes, local = np.unique(
             np.concatenate([touch.nodes for touch in touches]), return_inverse=True
         )
-        self._nodal = (3 * nodes[:, None] + np.arange(3)).ravel()
-        self._free = rubber.are_free(self._nodal)
-        rubber.touched = self._nodal[self._free]
+        self.rubber = Rubber(mesh, body, material, nodes)
         self._lately: Factor | None = None  # of an earlier state at finite strain, while it will do
         self._row = (3 * local.reshape(-1, 6)[:, :, None] + np.arange(3)).reshape(-1, 18)
 
@@ -629,7 +630,7 @@ class RubberContact:
     ) -> RubberContact.State:
         """Return the state after one Newton step of the rubber, in balance with contact."""
         # The rubber without contact, condensed to the nodes that may touch
-        rubber, nodal = self.rubber, self._nodal
+        rubber, nodal = self.rubber, self.rubber.nodal
         internal = rubber.internal(state.unknowns, linear=linear)
         loose = state.unknowns + rubber.moved_by(stiffness, -internal, _RESIDUAL)
         # Contact on these, and what its forces move elsewhere
@@ -656,15 +657,16 @@ class RubberContact:
 
         Only nodes of points that touch bear forces: those alone are unknowns.
         """
-        free = self._free
+        from scipy.sparse import csr_matrix
+
+        free = self.rubber.nodal_free
         number = np.cumsum(free) - 1
-        moved = self.rubber.displacement(state.unknowns).ravel()[self._nodal]
+        moved = self.rubber.displacement(state.unknowns).ravel()[self.rubber.nodal]
         pose, held = state.pose.ravel(), ~by_force.ravel()
         force = np.zeros(len(loose))
         force[free] = stiffness.schur @ (moved - loose)[free]
         trust, last, settled = 0.0, math.inf, False
-        # Where the tangent at rest takes more, the present one is likely to take fewer.
-        few = stiffness is self.rubber.rest_stiffness and not linear
+        few = not linear and not self._rubs
         for taken in range(_FEW_BALANCES if few else _MOST_BALANCES):
             if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
                 on = state.anchors.on & (state.pressure > 0.0)
@@ -688,16 +690,19 @@ class RubberContact:
             away = np.zeros(len(sought))
             away[:motions][sought[:motions]] = (moved - loose)[nodes]
             right = (matrix @ away - out)[sought]
+            # The nodes' forces are sought: these times the compliance are how far nodes go
+            count = len(nodes)
             matrix = matrix[np.ix_(sought, sought)]
+            compliance = stiffness.compliance[np.ix_(rows, rows)]
+            matrix[:, :count] = csr_matrix(matrix[:, :count]) @ compliance
+            matrix[np.arange(count), np.arange(count)] += 1.0
             step = np.zeros(len(pose))
             try:
-                rigid = np.linalg.inv(stiffness.compliance[np.ix_(rows, rows)])
-                matrix[: len(nodes), : len(nodes)] += rigid
                 found = np.linalg.solve(matrix, right)
             except np.linalg.LinAlgError as problem:
                 raise NotSettled("contact: nothing holds the probe at finite strain") from problem
-            bearing[nodes] = rigid @ found[: len(nodes)]
-            step[~held] = found[len(nodes) :]
+            bearing[nodes] = found[:count]
+            step[~held] = found[count:]
             change = np.where(free, loose - moved, 0.0)
             change[free] += stiffness.compliance[:, rows] @ bearing[nodes]
             if not settled and taken > _FULL_STEPS:  # points that come and go
@@ -762,7 +767,7 @@ class RubberContact:
         to."""
         # Which points touch?
         displacement = self.rubber.displacement(state.unknowns).copy()
-        displacement.reshape(-1)[self._nodal] = moved
+        displacement.reshape(-1)[self.rubber.nodal] = moved
         met = self._meet(displacement, pose.reshape(-1, MOTIONS), state, linear=linear)
         weighed = state.pressure - self._gap_weight * (met.gap + state.pressure / self._spring)
         active = weighed > 0.0 if state.pressure.any() else state.active
