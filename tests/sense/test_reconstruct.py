@@ -381,6 +381,17 @@ def test_what_an_unsure_depth_makes_of_the_transfer_is_known():
     assert exact.by_depth.size == 0
 
 
+def test_what_an_unsure_thickness_makes_of_the_transfer_is_known():
+    """As of a scene whose block is one standard deviation thicker, though only some of its sites are solved."""
+    few = {"reconstruction.sites.columns": 8, "reconstruction.sites.rows": 7, "tolerance.thickness_mm": 0.0}
+    scene = load_scene("gelpad_press", few)
+    drawn, thicker = (calibration_of(Sensor(each)) for each in (scene, scene.thicker(0.05)))
+    made = calibration_of(Sensor(load_scene("gelpad_press", few | {"tolerance.thickness_mm": 0.05})))
+    change = thicker.transfer - drawn.transfer
+    assert drawn.by_thickness.size == 0
+    assert np.linalg.norm(made.by_thickness - change) < 0.1 * np.linalg.norm(change)
+
+
 def test_what_the_load_cell_of_a_calibration_makes_of_totals_is_stated():
     """Calibrated again and again by presses whose forces are read wrongly, totals scatter as is stated."""
     _, _, calibration = FINGER

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from twin.arrays import Bools, Floats, Ints, Points, Progress
 from twin.blas_threads import one_blas_thread
@@ -312,12 +313,33 @@ def _calibrate_by_design(sensor: Sensor) -> Calibration:
     more = 0.0 if made_exactly else room.thickness_mm
     if scene.calibration.method == "halfspace":
         drawn = sensor.nominal_compliance.to_points(markers.points, sensor.sites)
-        other = _through_camera(sensor, markers.points, drawn)
+        change = _through_camera(sensor, markers.points, drawn) - made.transfer
     elif more:
-        other = _nominal_transfer(Sensor(scene.thicker(more), sensor.progress), sensor.sites)
+        change = _by_thickness(sensor, made, more)
     else:
         return made
-    return replace(made, by_thickness=(other - made.transfer).astype(np.float32))
+    return replace(made, by_thickness=change.reshape(made.transfer.shape).astype(np.float32))
+
+
+def _by_thickness(sensor: Sensor, made: Calibration, more: float) -> Floats:
+    """Return (2n, 3k) px/N: what the transfer matrix gains from a block ``more`` mm thicker.
+
+    It is solved for at every other site, with splines between, in half the time: 2.5 to 3 % of its
+    size off on three pads, 7.5 % where the drawn body has a stored table (another mesh).
+    """
+    few = [np.unique(np.append(np.arange(0, count, 2), count - 1)) for count in made.grid]
+    places = np.ix_(*few)
+    chosen = np.zeros(made.grid, np.bool_)
+    chosen[places] = True
+    thicker = Sensor(sensor.nominal.thicker(more), sensor.progress)
+    found = _nominal_transfer(thicker, sensor.sites[chosen.ravel()])
+    here = made.transfer.reshape(len(found), *made.grid, 3)[:, places[0], places[1]]
+    change = found.reshape(here.shape) - here
+    for axis, (at, count) in enumerate(zip(few, made.grid, strict=True), start=1):
+        degree = min(3, len(at) - 1)
+        spline = make_interp_spline(at, change, degree, axis=axis, check_finite=False)
+        change = spline(np.arange(count))  # what a picture doesn't show stays NaN
+    return np.asarray(change.reshape(made.transfer.shape))
 
 
 def nominal_calibration(sensor: Sensor, compliance: Floats) -> Calibration:
