@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from twin.arrays import Bools, Floats, Ints, Picture, Pixels, medians
 from twin.compiled import njit
 from twin.errors import InputError
+from twin.sense.template import MARGIN_PX, disc
 
 Weights = tuple[float, float, float]
 Signal = NDArray[np.float32]
@@ -127,6 +128,15 @@ class Flaws:
         return _dimmed(picture, since * self.bands)
 
     @staticmethod
+    def covered(picture: Picture, marks_px: Pixels, radius: float) -> Bools:
+        """Return (h, w) which pixels are nearer than ``radius`` px, and some, to the marks (n,
+        2)."""
+        covered = np.zeros(picture.shape[:2], np.bool_)
+        middle = np.rint(marks_px[np.isfinite(marks_px).all(axis=1)]).astype(int)
+        _cover(middle, disc(int((radius + MARGIN_PX) ** 2))[1], covered)
+        return covered
+
+    @staticmethod
     def repeats_blocks(before: Picture, picture: Picture) -> bool:
         """Return whether blocks of a picture (h, w, 3) are those of the picture ``before``."""
         least, most = sorted(_share_repeated(before, picture, begin) for begin in (0, BLOCK // 2))
@@ -159,6 +169,16 @@ class Flaws:
         sites[0, row, column] = sites[2, 1 - row, 1 - column] = True
         sites[1] = ~(sites[0] | sites[2])
         return sites
+
+
+@njit(cache=True)
+def _cover(middle, runs, covered):
+    """Set what of ``covered`` (h, w) is in one of the discs of ``runs`` about ``middle`` (n, 2)."""
+    for column, row in middle:
+        for line, first, count in runs:
+            if 0 <= row + line < len(covered):
+                start = max(column + first, 0)
+                covered[row + line, start : max(column + first + count, start)] = True
 
 
 def as_picture(image: NDArray[np.generic], what: str) -> Picture:
@@ -274,19 +294,13 @@ def _bare_ground(picture: Picture, marks: Pixels, clear: float, margin: float) -
     places = marks[np.isfinite(marks).all(axis=1)]
     every = max(picture.shape[1] // COLUMNS, 1)
     bright: Floats = picture[:, ::every] @ LUMA
-    covered = np.ones(bright.shape, np.bool_)
+    ground = np.zeros(picture.shape[:2], np.bool_)
     if len(places):
-        first = np.fmax(places.min(axis=0) - margin, 0.0) // [every, 1]
-        left, top = first.astype(int)
-        right, bottom = ((places.max(axis=0) + margin) // [every, 1]).astype(int)
-        covered[top : bottom + 1, left : right + 1] = False
-    reach = int(np.ceil(clear)) + 1
-    for x, y in places:
-        top, left = max(int(y) - reach, 0), max(int(x) - reach, 0) // every
-        part = covered[top : int(y) + reach + 1, left : int(x + reach) // every + 1]
-        down, across = np.ogrid[: part.shape[0], : part.shape[1]]
-        part |= (down + top - y) ** 2 + (every * (across + left) - x) ** 2 < clear**2
-    bright[covered] = np.nan
+        left, top = np.fmax(places.min(axis=0) - margin, 0.0).astype(int)
+        right, bottom = (places.max(axis=0) + margin).astype(int) + 1
+        ground[top:bottom, left:right] = True
+    ground &= ~Flaws.covered(picture, places, clear)
+    bright[~ground[:, ::every]] = np.nan
     return bright
 
 

@@ -114,7 +114,9 @@ def analyse_rest(
     drawn = _checked_layout(layout)
     _check_options(drawn, diameter_px, polarity, channels, method)
     rest = _analysed(picture, flaws, drawn, diameter_px, polarity, channels, method)
-    flaws, picture = flaws.seen_without_bands(picture, rest.rest_px, *rest.ground_px)
+    # bands may hide markers, which are about where they are drawn
+    marks = np.where(np.isnan(rest.rest_px), np.concatenate(list(drawn.values())), rest.rest_px)
+    flaws, picture = flaws.seen_without_bands(picture, marks, *rest.ground_px)
     if flaws.ground is None:
         return rest
     return _analysed(picture, flaws, drawn, diameter_px, polarity, channels, method)

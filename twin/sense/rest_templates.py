@@ -553,24 +553,6 @@ def _widest(templates: Templates) -> float:
     return templates.usual_radius_px + float(templates.usual_shape[6])
 
 
-def _covered(picture: Picture, marks: Pixels, radius: float) -> Bools:
-    """Return (h, w) which pixels are nearer than ``radius`` px, and some, to ``marks`` (n, 2)."""
-    covered = np.zeros(picture.shape[:2], np.bool_)
-    middle = np.rint(marks[np.isfinite(marks).all(axis=1)]).astype(int)
-    _cover(middle, disc(int((radius + MARGIN_PX) ** 2))[1], covered)
-    return covered
-
-
-@njit(cache=True)
-def _cover(middle, runs, covered):
-    """Set what of ``covered`` (h, w) is in one of the discs of ``runs`` about ``middle`` (n, 2)."""
-    for column, row in middle:
-        for line, first, count in runs:
-            if 0 <= row + line < len(covered):
-                start = max(column + first, 0)
-                covered[row + line, start : max(column + first + count, start)] = True
-
-
 def _ground_slopes(
     picture: Picture,
     layer: LayerSignal,
@@ -592,7 +574,7 @@ def _ground_slopes(
     outer = RING * radius + 2.0 * USUAL_BLUR_PX + MARGIN_PX
     ring = disc_offsets(outer)
     ring = ring[np.hypot(*ring.T) > clear + MARGIN_PX]
-    covered = _covered(picture, marks, clear)
+    covered = Flaws.covered(picture, marks, clear)
     column, row = (np.rint(centres[known]).astype(int)[:, None] + ring).transpose(2, 0, 1)
     use = (column >= 0) & (column < size[1]) & (row >= 0) & (row < size[0])
     use &= layer.sites[row % 2, column % 2] > 0.0
@@ -669,7 +651,7 @@ class BareGround:
         step = max(int(np.sqrt(height * width / PLACES)), 1)
         grid = np.mgrid[reach : width - reach : step, reach : height - reach : step]
         places = grid.reshape(2, -1).T.astype(float)
-        covered = _covered(picture, marks, _widest(templates))
+        covered = Flaws.covered(picture, marks, _widest(templates))
         moved, by_noise = _moved_by_ground(picture, templates, places, covered)
         known = np.isfinite(moved[:, 0])
         if known.sum() < QUADRATIC:
@@ -702,7 +684,7 @@ class BareGround:
         moved_on = np.where(known[:, None], shift_px, 0.0)[self.near].sum(axis=0) / number[:, None]
         count = len(self.places_px)
         widest = max(growth, 1.0) * _widest(templates)
-        covered = _covered(picture, self.marks_px + moved_on[count:], widest)
+        covered = Flaws.covered(picture, self.marks_px + moved_on[count:], widest)
 
         def changed(places: Pixels, parts: int) -> Floats:
             """Return (parts,) mean squares of what the ground now moves markers at places more than
@@ -738,7 +720,7 @@ def _moved_by_ground(
 ) -> tuple[Floats, Floats]:
     """Return how far the ground moves a usual marker's centre at ``places`` (n, 2), px: (n, 2) by
     what is around the marker, and two columns more of two ``parts``, by that behind it too; NaN
-    where too much is `_covered`. And (n, parts) the variances of that by single pixels' noise."""
+    where too much is ``covered`` (h, w). And (n, parts) the variances by single pixels' noise."""
     shape = templates.usual_shape
     radius, blur = templates.usual_radius_px, float(shape[6])
     offset, runs, _ = disc(int((radius + blur) ** 2))
@@ -773,7 +755,7 @@ def _fit_ground(
 ):
     """Fill how far the ground has ``moved`` (q, 2 p) a marker at each place ``inside`` the picture,
     and the ``variance`` (q, p) of that by unit noise, where more than the share ``least`` of its
-    edge is not `_covered`: by what is around the marker, and with p = 2 by that behind it too.
+    edge is not ``covered``: by what is around the marker, and with p = 2 by that behind it too.
     ``slopes`` (2, 6) of the ground are in the model.
 
     Least squares of the signal s, less its mean, by the slopes of the brightness along x and y, and
