@@ -15,7 +15,7 @@ from twin.world.picture.backend import Variant
 from twin.world.picture.ellipsoids import Ellipsoids
 
 SPLAT = Variant(name="splat", library=None, reason="runs everywhere")
-RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.15, 0.9)
+RED = (0.9, 0.1, 0.1)
 
 
 def scene_of(name, **keys):
