@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import tomli_w
-from small_sweep import TABLE, small
+from small_sweep import SET, TABLE, small
 
 import twin
 from benchmarks.sweep import ranked
@@ -124,10 +124,12 @@ def test_a_changed_sensor_is_computed_anew(finished: Path, tmp_path: Path) -> No
 
 def test_designs_that_cant_be_are_rows_with_their_reason(tmp_path: Path) -> None:
     changes = {"axes": {"markers.*.pitch_mm": [1.5], "camera.focal_px": [1814.8, 9000.0]}, "derived": {}}
-    done = run_sweep(*small(**changes), tmp_path)
+    by_local = {"set": {**SET, "reconstruction.method": "local"}}
+    done = run_sweep(*small(**changes, **by_local), tmp_path)
     assert done.status.tolist() == ["ok", "dropped"]
     assert "inside the picture" in done.error[1]
-    write_report(done, tmp_path)
+    lines, _ = write_report(done, tmp_path)
+    assert lines[0].startswith("Confirm design 0 by pictures: "), "what is linear can't judge this method"
     kept = [json.loads(line)["row"]["status"] for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
     assert sorted(kept) == ["dropped", "ok"]
 

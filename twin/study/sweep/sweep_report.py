@@ -251,7 +251,10 @@ def _verdict(done: Swept) -> str:
         if found[best] > target:
             least = float(np.nanmin(np.where(done.status == "ok", found, np.nan)))
             missed.append(_as_asked(name, least, target) if least > target else "")
-    text = f"Make design {best}: {', '.join(map(str.strip, made))}. "
+    inverse = done.designs.scene.reconstruction
+    guessed = inverse is not None and inverse.method == "local" and done.fidelity[best] == "linear"
+    text = f"Confirm design {best} by pictures" if guessed else f"Make design {best}"
+    text += f": {', '.join(map(str.strip, made))}. "
     text += f"It reaches: {'; '.join(reached)}."
     if never := [words for words in missed if words]:
         text += f" No design meets all targets; the least of all designs: {'; '.join(never)}."
