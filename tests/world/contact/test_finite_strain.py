@@ -210,8 +210,17 @@ def test_load_steps_end_where_one_step_does(monkeypatch):
 
 
 @pytest.mark.slow
-def test_sharp_face_that_is_pressed_in_by_its_own_size_is_solved_in_load_steps_as_on_the_slab():
-    """Newton's steps from the linear solution find no balance of contact at its rim."""
+def test_load_steps_on_a_whole_body_lead_to_the_slabs_solution_under_a_sharp_face(monkeypatch):
+    """The first attempt fails, as it does under a square pillar that is pressed as hard."""
+    settle, left = whole_body.RubberContact.settled, [1]
+
+    def failing(self, state, by_force, given, to, *, linear):
+        if not linear and left:
+            left.pop()
+            raise NotSettled("contact: the first attempt")
+        return settle(self, state, by_force, given, to, linear=linear)
+
+    monkeypatch.setattr(whole_body.RubberContact, "settled", failing)
     sides = {f"body.{name}_mm": length for name, length in (("width", 13.0), ("length", 13.0), ("thickness", 10.0))}
     sensor, press = made("linear", **sides), twin.Press(probe=Cylinder(diameter_mm=1.13), force_n=(0, 0, 0.25))
     state = sensor.press(press)
@@ -219,8 +228,9 @@ def test_sharp_face_that_is_pressed_in_by_its_own_size_is_solved_in_load_steps_a
     places = size * np.array([[r, 0.0, z] for z in (0.6, 1.0, 2.0) for r in (0.0, 0.5, 1.0, 1.5, 2.5)])
     given = press, sensor.nominal.body, RUBBER, state, places
     slab, more = round_slab.SlabStrain(*given), BodyStrain(*given)
-    left = largest(more.displacement(places) - slab.displacement(places)) / largest(sensor.displacement(places, state))
-    assert left < more.error.markers
+    assert not left
+    missed = largest(more.displacement(places) - slab.displacement(places))
+    assert missed < more.error.markers * largest(sensor.displacement(places, state))
     sunk = abs(more.indentation_mm - slab.indentation_mm) / state.indentation_mm
     assert sunk < more.error.indentation < 0.02
 
@@ -732,7 +742,7 @@ def test_a_scene_of_the_lowest_poisson_ratio_is_solved_as_casting_leaves_it():
         ({"friction": 0.5, "steps": ROLLED, "force_n": None}, {}, "doesn't roll"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0), "friction": 0.5}, {}, "upright probes"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "touches with its rim, solved from 0.15"),
-        ({"probe": Pillar(width_mm=0.6)}, {}, "to 0.28 .less force., or with a rim of 0.06 mm it is solved"),
+        ({"probe": Pillar(width_mm=0.6)}, {}, "to 0.2 .less force., or with a rim of 0.06 mm it is solved"),
         (GUIDED, {}, "torques across its direction.*guided along it"),
         ({"at_mm": (1, 1), "direction": "normal"}, {}, 'force_n = .*across its direction.*axes = "probe"'),
         ({}, {"poisson_ratio": 0.4}, "poisson_ratio: as made below 0.44"),  # not the drawn number

@@ -86,7 +86,7 @@ _LEAST_RIM, _COARSE_RIM = 0.1, 0.2
 """Least radius of a flat face's rim over its half width, and on the coarser mesh. On rubber thicker
 than the face is wide what linear theory leaves out hardly depends on it (docs/validity.md)."""
 
-_HARDEST, _SUNK = 0.28, 0.35
+_HARDEST, _SUNK = 0.2, 0.35
 """Mean pressure over Young's modulus, and indentation over the half width, beyond both of which
 Newton's steps hardly settle on a face whose rim is solved rounder."""
 
