@@ -221,6 +221,15 @@ def test_contact_beyond_the_sites_fails_instead_of_losing_force(tmp_path: Path) 
     assert "beyond the sites" in done.reason
 
 
+def test_a_mistake_of_the_program_fails_its_sample_and_not_the_run(tmp_path, monkeypatch):
+    def mistaken(*_: object, **__: object) -> None:
+        raise ValueError("five")
+
+    monkeypatch.setattr(twin.Sensor, "press", mistaken)
+    done = make(tmp_path / "d", 1)
+    assert (done.failed, done.reason) == (1, "sample 0: internal error: ValueError: five")
+
+
 def test_two_writers_are_refused(tmp_path: Path) -> None:
     folder = tmp_path / "d"
     lock = only_writer(folder, folder / "meta" / "writer.lock")
