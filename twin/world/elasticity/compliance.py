@@ -419,6 +419,7 @@ class Compliance:
             return moved, [self.expected_error(load, table) * moved]
         direct = not self._subtracted
         smooth = None if table or direct or self.body.is_flat else self._rough(known, load, w)
+        missed = None if table or direct else self._missed(known, load, moved)
         trust, rough, unseen = error_shares(
             self.body,
             level,
@@ -428,12 +429,13 @@ class Compliance:
             refined=self._given_compared is not None,
             table=("nominal" if self.level == "nominal" else "truth") if table else None,
             between=self._tables.between * _largest(w) / size if table else 0.0,
+            at_edge=missed is not None and bool(missed.any()),
         )
         parts = [trust * (w - other), (unseen + lost / size) * moved]
         if smooth is not None:
             parts.append(rough * smooth)
-        if table is None and not direct:
-            parts.append(self._missed(known, load, moved))
+        if missed is not None:
+            parts.append(missed)
         return moved, parts
 
     def _missed(self, known: PointCache, load: Rectangles, moved: Points) -> Points:

@@ -73,7 +73,8 @@ EXPECTED: dict[tuple[bool, Level], _Expected] = {
 """By whether the sensing surface is a plane, and by level."""
 
 DIRECT_TRUST = 1.5
-"""Share of the difference that is the error of the direct method, at least."""
+"""Share of the difference that is the error, at least, of the direct method, and next to an edge of
+forces that cancel, as a twist's."""
 
 FINEST = 8e-6
 """Error that no difference shows on the block's finest mesh, but for the cutting: of stored
@@ -272,6 +273,7 @@ def error_shares(
     refined: bool = False,
     table: Literal["truth", "nominal"] | None = None,
     between: float = 0.0,
+    at_edge: bool = False,
 ) -> tuple[float, float, float]:
     """Return trust, rough and unseen.
 
@@ -293,6 +295,9 @@ def error_shares(
         Role of the table that the displacements are from, if any.
     between
         Of a table: its correction over the largest displacement, times `Tables.between`.
+    at_edge
+        Whether elements miss what the load leaves next to it (`missed_by_mesh`). Of forces that
+        cancel that cancels too, though the error does not, and a finer mesh misses as much.
     """
     law = EXPECTED[body.is_flat, level]
     trust, unseen = law.trust, law.unseen
@@ -309,6 +314,10 @@ def error_shares(
         trust = max(trust, DIRECT_TRUST)
     if body.is_flat and not body.is_convex:
         trust = max(trust, DENTED)
+    if at_edge and body.is_flat:
+        forces = float(np.linalg.norm(load.force_n, axis=1).sum())
+        cancelled = 1.0 - float(np.linalg.norm(load.total_force_n)) / forces
+        trust = max(trust, DIRECT_TRUST * cancelled)
     rough = law.rough
     if not body.is_flat and body.own_surface is not None:
         trust, rough = TRIANGLES * trust, TRIANGLES * rough
