@@ -26,14 +26,10 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points, frozen
-from twin.compiled import njit
 from twin.geometry.closed import FLAT, Surface
 
 FACE = 0
 """Feature of a triangle's nearest place that lies on its face."""
-
-_IN_LEAF = 4
-"""Triangles in a leaf of the tree at most."""
 
 _COPLANAR = 1e-3
 """Angle between triangles, rad, up to which they are of one plane: corners in files are rounded."""
@@ -60,7 +56,7 @@ _PARALLEL = 1e-12
 
 
 class TriangleTree:
-    """Searches among triangles (m, 3, 3): the nearest by a tree of boxes, along lines by VTK."""
+    """Searches among triangles (m, 3, 3) by VTK: the nearest, and the first along lines."""
 
     def __init__(self, corners: Floats) -> None:
         from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
@@ -87,33 +83,16 @@ class TriangleTree:
     def nearest(self, points: Points) -> tuple[Ints, Points, Ints]:
         """Return for (n, 3) points the nearest triangle (n,), place (n, 3), and its feature (n,): 0
         the face, 1 to 3 the corners, 4 to 6 the edges 01, 12, 20."""
-        points = np.ascontiguousarray(points, np.float64)
-        triangle = _nearest_triangles(points, self._corners, *self._boxes)
-        return triangle, *_onto_triangles(points, self._corners[triangle])
+        from vtkmodules.vtkCommonCore import reference
+        from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
-    @cached_property
-    def _boxes(self) -> tuple[Ints, Floats]:
-        """The triangles of the leaves (l, _IN_LEAF at most), and low and high corners (2 l - 1, 2,
-        3) of the boxes of a complete binary tree: those of box k are 2 k + 1 and 2 k + 2."""
-        middle = self._corners.mean(axis=1)
-        levels = max(0, math.ceil(math.log2(len(middle) / _IN_LEAF)))
-        # 1. Each level halves every group along its longest side. Triangles fill up the last ones.
-        size = math.ceil(len(middle) / 2**levels) * 2**levels
-        order = np.resize(np.arange(len(middle)), size)
-        for level in range(levels):
-            order = order.reshape(2**level, -1)
-            places = middle[order]
-            axis = np.argmax(np.ptp(places, axis=1), axis=1)
-            along = np.take_along_axis(places, axis[:, None, None], axis=2)[:, :, 0]
-            order = np.take_along_axis(order, np.argsort(along, axis=1, kind="stable"), axis=1)
-        leaves = order.reshape(2**levels, -1)
-        # 2. Boxes from the leaves upwards.
-        corners = self._corners[leaves].reshape(len(leaves), -1, 3)
-        boxes = [np.stack([corners.min(axis=1), corners.max(axis=1)], axis=1)]
-        while len(boxes[0]) > 1:
-            two = boxes[0].reshape(-1, 2, 2, 3)
-            boxes.insert(0, np.stack([two[:, :, 0].min(axis=1), two[:, :, 1].max(axis=1)], axis=1))
-        return leaves, np.concatenate(boxes)
+        triangle = np.zeros(len(points), np.int64)
+        found: Any = reference(0)
+        part, squared, place, cell = reference(0), reference(0.0), [0.0, 0.0, 0.0], vtkGenericCell()
+        for row, point in enumerate(np.asarray(points, float).tolist()):
+            self._locator.FindClosestPoint(point, place, cell, found, part, squared)
+            triangle[row] = found.get()
+        return triangle, *_onto_triangles(points, self._corners[triangle])
 
     def first_along(self, points: Points, along: Floats) -> tuple[Ints, Floats]:
         """Return the triangle (n,) that whole lines through (n, 3) points meet first, -1 for none,
@@ -160,69 +139,6 @@ class TriangleTree:
         met = (triangle >= 0) & (np.abs(slope) > _PARALLEL * steep)
         height = np.sum(normal * (a - points), axis=-1)
         return np.where(met, height / np.where(met, slope, 1.0), np.inf)
-
-
-@njit(cache=True)
-def _nearest_triangles(points: Points, corners: Floats, leaves: Ints, boxes: Floats) -> Ints:
-    """Return (n,) the triangle of (m, 3, 3) nearest to each of (n, 3) points, by `TriangleTree`."""
-    found = np.zeros(len(points), np.int64)
-    first_leaf = len(boxes) - len(leaves)
-    stack = np.empty(64, np.int64)
-    bound = np.empty(64)
-    apart = np.zeros(2)
-    for row in range(len(points)):
-        x, y, z = points[row, 0], points[row, 1], points[row, 2]
-        least = np.inf
-        stack[0] = 0
-        bound[0] = 0.0
-        height = 1
-        while height > 0:
-            height -= 1
-            node = stack[height]
-            if bound[height] >= least:
-                continue
-            # 1. Of two boxes the nearer is searched first: it lies on top of the stack.
-            if node < first_leaf:
-                child = 2 * node + 1
-                for side in range(2):
-                    low, high = boxes[child + side, 0], boxes[child + side, 1]
-                    u = max(low[0] - x, x - high[0], 0.0)
-                    v = max(low[1] - y, y - high[1], 0.0)
-                    w = max(low[2] - z, z - high[2], 0.0)
-                    apart[side] = u * u + v * v + w * w
-                nearer = 0 if apart[0] <= apart[1] else 1
-                for side in (1 - nearer, nearer):
-                    stack[height] = child + side
-                    bound[height] = apart[side]
-                    height += 1
-                continue
-            # 2. A triangle's distance is that from its plane above it, that from an edge elsewhere.
-            for number in leaves[node - first_leaf]:
-                a, b, c = corners[number, 0], corners[number, 1], corners[number, 2]
-                nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-                ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
-                nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-                normal = nx * nx + ny * ny + nz * nz
-                above = normal > 0.0
-                squared = np.inf
-                for k in range(3):
-                    a, b = corners[number, k], corners[number, (k + 1) % 3]
-                    u, v, w = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-                    px, py, pz = x - a[0], y - a[1], z - a[2]
-                    side_out = (
-                        px * (v * nz - w * ny) + py * (w * nx - u * nz) + pz * (u * ny - v * nx)
-                    )
-                    above = above and side_out <= 0.0
-                    length = u * u + v * v + w * w
-                    share = min(max((px * u + py * v + pz * w) / length, 0.0), 1.0)
-                    px, py, pz = px - share * u, py - share * v, pz - share * w
-                    squared = min(squared, px * px + py * py + pz * pz)
-                if above:
-                    squared = (px * nx + py * ny + pz * nz) ** 2 / normal
-                if squared < least:
-                    least = squared
-                    found[row] = number
-    return found
 
 
 def _onto_triangles(points: Points, corners: Floats) -> tuple[Points, Ints]:
