@@ -11,7 +11,7 @@ from benchmarks.budget import own_transfer
 from twin.errors import InputError
 from twin.parts.load import Rectangles
 from twin.sense.calibration import read_calibration
-from twin.sense.fit_design import Fit
+from twin.sense.fit_design import Fit, Presses
 from twin.study import calibrate
 from twin.study.calibrate import calibration_of
 from twin.study.fitted_design import FittedDesign
@@ -130,6 +130,25 @@ def test_nothing_is_fitted_that_the_tolerances_give_no_room():
     tight = SCENE.model_copy(update={"tolerance": SCENE.tolerance.model_copy(update={"tilt_deg": 0.0})})
     twin = FittedDesign(tight, Rectangles.on_surface(SCENE.body, np.zeros((1, 2)), 0.5, "places"), np.ones(1))
     assert not any(name.startswith("tilt") for name in twin.names)
+
+
+@pytest.mark.parametrize("drawn", [1.15, 2.0])
+def test_light_presses_show_a_modulus_that_is_drawn_too_large(drawn):
+    """A load cell of 5 mN that reads .06 N leaves as much open: with 1.5 % of tolerance it was read as wrong."""
+    random, twin = np.random.default_rng(4), design([(0.0, 0.0), (2.0, 2.0), (-2.0, 1.0)])
+    place, force_n = np.repeat(np.arange(3), 3), np.tile([[0, 0, 0.06], [0.02, 0, 0.06], [0, 0.02, 0.06]], (3, 1))
+    softer = np.array([(name == "youngs_modulus") * (1 / drawn - 1) for name in twin.names])
+    seen = rest_px(Sensor(SCENE).actual)
+    _, shift, _ = twin.predict(softer / list(twin.sizes.values()), seen, place, force_n)
+    presses = Presses(
+        place=place, force_n=force_n + random.normal(0, 0.005, (9, 3)), rest_px=seen,
+        shift_px=shift + random.normal(0, 0.02, shift.shape), load_cell_n=0.005, noise_px=0.02,
+    )  # fmt: skip
+    fit = Fit.of(twin, presses)
+    found, sd = (dict(zip(twin.names, each, strict=True))["youngs_modulus"] * twin.sizes["youngs_modulus"]
+                 for each in (fit.scaled, np.diag(fit.covariance) ** 0.5))  # fmt: skip
+    assert (1 + found) * drawn == pytest.approx(1, abs=2 * sd * drawn)
+    assert sd * drawn < 0.05
 
 
 def test_places_move_with_their_origin():

@@ -27,7 +27,7 @@ STEP = 0.05
 """Step of the finite differences, in standard deviations of a parameter."""
 
 ITERATIONS, ROUNDS = 25, 4
-"""Gauss-Newton steps at most, and estimates of the model's error and of the tolerances."""
+"""Gauss-Newton steps at most, and estimates of the model's error."""
 
 FIRST_MODEL_PX = 0.05
 """Error of the model that is assumed until it is estimated, px."""
@@ -35,12 +35,6 @@ FIRST_MODEL_PX = 0.05
 PLACE_MM = 0.02
 """Standard deviation of where a press acts along the surface, mm: a stage's, and how far pressure
 and shear of a stuck sphere lie from where it touched first (.003 to .06 mm)."""
-
-REFUTED = 3.0
-"""Deviation of a modulus, in its standard deviations, from which on its tolerance is refuted: it
-counts as wide as the deviation then. A modulus drawn twice as large was 12 % off, as forces read by
-a load cell of 5 mN in 0.2 N weigh no more than 1.5 % of tolerance. Deviations of other parameters
-are imitated by errors of the model, so these stay held."""
 
 UNKNOWN = 6
 """Numbers that are unknown of each press: the load cell's three errors, how widely the shear is
@@ -82,11 +76,6 @@ class _Design(Protocol):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        ...
-
-    @property
-    def is_modulus(self) -> Bools:
-        """(m,) which of them may lie far beyond its tolerance."""
         ...
 
     @property
@@ -165,10 +154,9 @@ class Fit:
         """
         _check(presses)
         scaled, model = np.zeros(len(design.names)), FIRST_MODEL_PX
-        width = np.ones(len(scaled))
         known = np.hypot(presses.noise_px, design.unsure_px(presses))
         for _ in range(ROUNDS):
-            residuals = _Residuals(design, presses, np.hypot(known, model), width)
+            residuals = _Residuals(design, presses, np.hypot(known, model))
             scaled, slope = _gauss_newton(residuals, scaled)
             left = residuals.press_residual_px(scaled)
             # The model's error has one variance for all shifts: their mean excess, weighted.
@@ -176,9 +164,7 @@ class Fit:
             excess = weight[:, :, None] * (np.nan_to_num(left) ** 2 - known[:, :, None] ** 2) / 2
             least = (0.2 * presses.noise_px) ** 2
             before, model = model, max(float(excess.sum() / weight.sum()), least) ** 0.5
-            refuted = design.is_modulus & (np.abs(scaled) > REFUTED * width)
-            width = np.where(refuted, np.abs(scaled), width)
-            if abs(model - before) < 0.1 * before and not refuted.any():
+            if abs(model - before) < 0.1 * before:
                 break
         return cls(
             names=design.names,
@@ -216,7 +202,6 @@ class _Residuals:
     design: _Design
     presses: Presses
     sd_px: Floats
-    width: Floats
 
     @property
     def seen(self) -> Bools:
@@ -246,7 +231,7 @@ class _Residuals:
     def __call__(self, scaled: Floats) -> Floats:
         prints, left, unknown = self._predicted(scaled)
         parts = (
-            scaled / self.width,
+            scaled,
             prints / self.design.print_mm,
             left / self.sd_px[:, :, None],
             unknown,
