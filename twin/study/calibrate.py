@@ -223,7 +223,8 @@ def _read_back(
     fields = [reconstruct(one, elastic, **options) for one in found]
     stated = np.array([field.sd_total_n for field in fields])
     totals = np.array([field.total_force_n for field in fields]) - force_n
-    allowed = np.hypot(stated, scene.calibration.load_cell_n)
+    cell = scene.calibration.load_cell_n
+    allowed = np.hypot(stated, cell)
 
     def rms(values: Floats) -> Floats:
         return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
@@ -232,7 +233,10 @@ def _read_back(
         parts = (f"F{axis} {one:.2g}" for axis, one in zip("xyz", rms(values), strict=True))
         return f"read    {what}: {', '.join(parts)} N (root mean square)"
 
-    lines = [line("total force of these presses off by", totals), line("stated", stated)]
+    lines = [
+        line("total force of these presses off by", totals),
+        line(f"stated, with the load cell's {cell:g} N", allowed),
+    ]
     if options["push_only"] or options["friction"] is not None:
         sums = np.array([field.force_n.sum(axis=0) for field in fields]) - force_n
         lines.append(line("sites' sum, of sites that only push or obey friction, off by", sums))
