@@ -22,7 +22,7 @@ from twin.parts.material import Material, shear_modulus
 from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
 
-LOAD_STEPS = 0.2, 1.5, 0.04
+LOAD_STEPS = 0.2, 1.5, 0.01
 """First step of the force where Newton's steps fail from the linear solution, over the force, how
 each grows from the one before, and the least to which it is halved where they fail again."""
 
