@@ -23,16 +23,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial import cKDTree
 
-from twin.arrays import (
-    Bools,
-    Floats,
-    Ints,
-    Picture,
-    Pixels,
-    Singles,
-    for_kernel,
-    medians,
-)
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kernel, medians
 from twin.compiled import njit
 from twin.sense.centre import Look
 from twin.sense.colour import LUMA, Flaws

@@ -311,10 +311,13 @@ def _alarms(facts: Mapping[str, Any]) -> list[str]:
             found += _alarms(value)
         elif _is_alarm(key, value):
             found += [value] if isinstance(value, str) else [str(v) for v in value]
-    texts = filter(None, map(str.strip, found))
-    return [
-        t if "." in t.split()[0] else t[0].upper() + t[1:] for t in texts
-    ]  # a key stays as it is
+    return [_sentence(text) for text in map(str.strip, found) if text]
+
+
+def _sentence(text: str) -> str:
+    """Return a text with a capital letter at its start, unless it begins with a recipe's key."""
+    first = text.split()[0]
+    return text if "." in first else text[0].upper() + text[1:]
 
 
 def _facts(facts: Mapping[str, Any]) -> str:

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from twin.arrays import Bools, Floats, Ints, Points, Progress
 from twin.blas_threads import one_blas_thread
@@ -322,7 +321,7 @@ def _calibrate_by_design(sensor: Sensor) -> Calibration:
         change = _by_thickness(sensor, made, more)
     else:
         return made
-    return replace(made, by_thickness=change.reshape(made.transfer.shape).astype(np.float32))
+    return replace(made, by_thickness=change.astype(np.float32))
 
 
 def _by_thickness(sensor: Sensor, made: Calibration, more: float) -> Floats:
@@ -331,6 +330,8 @@ def _by_thickness(sensor: Sensor, made: Calibration, more: float) -> Floats:
     It is solved for at every other site, with splines between, in half the time: 2.5 to 3 % of its
     size off on three pads, 7.5 % where the drawn body has a stored table (another mesh).
     """
+    from scipy.interpolate import make_interp_spline
+
     few = [np.unique(np.append(np.arange(0, count, 2), count - 1)) for count in made.grid]
     places = np.ix_(*few)
     chosen = np.zeros(made.grid, np.bool_)

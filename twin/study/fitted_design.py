@@ -106,9 +106,9 @@ class FittedDesign:
         self.covered = covered
         self.scene, self.places, self.radius_mm = scene, places, np.asarray(radius_mm, float)
         room = scene.tolerance
-        stiffness = room.youngs_modulus_pct / 100
+        modulus_sd = room.youngs_modulus_pct / 100
         sizes = {
-            "youngs_modulus": max(stiffness, MODULUS_UNSURE) if stiffness else 0.0,
+            "youngs_modulus": max(modulus_sd, MODULUS_UNSURE) if modulus_sd else 0.0,
             "poisson_ratio": self._unsure_ratio,
             "thickness": room.thickness_mm,
             **{f"depth_{name}": room.depth_mm for name in scene.markers},

@@ -34,8 +34,8 @@ from twin.study.dataset.prepare import portable, prepare
 from twin.study.dataset.reader import DatasetReader
 from twin.study.dataset.sample import audit_sample, make_shard
 
-TRIED = {False: 3, True: 1}
-"""Samples of an estimate, after as many that warm up; of sequences, which take long."""
+TRIED, TRIED_SEQUENCES = 3, 1
+"""Samples of an estimate, after as many that warm up; and sequences, which take long."""
 
 T = TypeVar("T")
 
@@ -407,7 +407,7 @@ def estimate(
     sensors = plan.sensor_of(samples - 1) + 1
     audits = len(plan.audited())
     # Random draws cost as much, without loading scipy.stats for Sobol' sequences.
-    count = TRIED[scene.dataset.every_step]
+    count = TRIED_SEQUENCES if scene.dataset.every_step else TRIED
     cut = {"samples_per_shard": count, "samples_per_sensor": 2 * count, "sampling": "random"}
     tried = scene.model_copy(update={"dataset": scene.dataset.model_copy(update=cut)})
     Plan(tried, samples).check()
@@ -452,7 +452,7 @@ def estimate(
 
 def _measured(tried: Scene, several: bool, progress: Progress | None) -> dict[str, Any]:
     """Return CPU seconds and bytes of a few samples of one made sensor, and of ``several``."""
-    count = TRIED[tried.dataset.every_step]
+    count = tried.dataset.samples_per_shard
     with tempfile.TemporaryDirectory(prefix="twin-estimate-") as name, one_thread():
         places = Places(Path(name))
         places.meta.mkdir()
