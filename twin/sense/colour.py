@@ -129,8 +129,8 @@ class Flaws:
 
     @staticmethod
     def covered(picture: Picture, marks_px: Pixels, radius: float) -> Bools:
-        """Return (h, w) which pixels are nearer than ``radius`` px, and some, to the marks (n,
-        2)."""
+        """Return (h, w) which pixels are nearer to the marks (n, 2) than ``radius`` and a margin,
+        px."""
         covered = np.zeros(picture.shape[:2], np.bool_)
         middle = np.rint(marks_px[np.isfinite(marks_px).all(axis=1)]).astype(int)
         _cover(middle, disc(int((radius + MARGIN_PX) ** 2))[1], covered)

@@ -59,9 +59,11 @@ MOST_SPOTS = 6000
 """More are texture, not dots."""
 
 SEEDS = 16
-"""Spots from which a lattice is grown, until one holds `ENOUGH` of the spots, at places `EVEN`."""
+"""Spots from which a lattice is grown, until one is good."""
 
 ENOUGH, EVEN = 0.85, 0.07
+"""A lattice is good that holds this share of the spots, with at most so large a median distance, in
+pitches, between them and where their neighbours expect them."""
 
 GATE, LAST_GATE = 0.28, 0.42
 """Largest distance between a site's prediction and its spot while a lattice grows, in pitches; and

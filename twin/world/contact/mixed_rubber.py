@@ -52,7 +52,8 @@ class _Settle(Protocol[State]):
 
 
 def _onward(state: State, before: State | None, share: float) -> State:
-    """Return the state a share of the way on that led to a state, from one before or from rest."""
+    """Return a state extrapolated: with a share of its change since the state before added, without
+    one since rest."""
 
     def on(name: str) -> Any:
         now = getattr(state, name)
