@@ -277,23 +277,17 @@ class FittedDesign:
         """Return (3n, 3k) mm/N of markers at their fitted places per force on squares of the
         surface."""
         found = self._values(scaled)
-        columns = []
-        # few at a time have fields, which serve other markers too
-        for first in range(0, len(sites), 2 * len(markers)):
-            which = slice(first, first + 2 * len(markers))
-            few = sites[which]
-            here = column = self._nominal.to_points(markers, few)
-            if off := found["poisson_ratio"]:
-                # Lagrange's polynomial through the drawing and the other bodies.
-                for step, other in self._of_ratios.items():
-                    rest = [(off - s) / (step - s) for s in self._of_ratios if s != step]
-                    share = off / step * math.prod(rest)
-                    column = column + share * (other.to_points(markers, few) - here)
-            if found["thickness"]:
-                share = found["thickness"] / self.sizes["thickness"]
-                column = column + share * (self._thicker.to_points(markers, few) - here)
-            columns.append(column)
-        whole = np.concatenate(columns, axis=1) + self._by_cover(sites)
+        here = self._nominal.to_points(markers, sites, moving=True)
+        whole = here + self._by_cover(sites)
+        if off := found["poisson_ratio"]:
+            # Lagrange's polynomial through the drawing and the other bodies.
+            for step, other in self._of_ratios.items():
+                rest = [(off - s) / (step - s) for s in self._of_ratios if s != step]
+                share = off / step * math.prod(rest)
+                whole = whole + share * (other.to_points(markers, sites, moving=True) - here)
+        if found["thickness"]:
+            share = found["thickness"] / self.sizes["thickness"]
+            whole = whole + share * (self._thicker.to_points(markers, sites, moving=True) - here)
         return np.asarray(whole / (1 + found["youngs_modulus"]))
 
     def transfer(self, scaled: Floats, markers: Points, compliance: Floats) -> Floats:

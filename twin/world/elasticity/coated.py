@@ -117,11 +117,12 @@ class _LocalModel(Compliance):
         return self._layer.modulus_ratio * self._modulus, self._layer.poisson_ratio
 
     def _solved_corrections(
-        self, points: PointCache, rectangles: Rectangles, reused: bool
+        self, points: PointCache, rectangles: Rectangles, reused: bool, moving: bool
     ) -> Floats:
         """Return (n, 3, k, 3) patch by patch: near a patch its correction is too steep to be
         interpolated between patches."""
-        return patch_corrections(self.system, self.body, points.placed(self._locator), rectangles)
+        places = points.placed(self._locator)
+        return patch_corrections(self.system, self.body, places, rectangles, moving=moving)
 
 
 class CoveredCompliance:

@@ -266,12 +266,19 @@ class Compliance:
             return w
         return w + halfspace.gradient(known.points, load, *self._rubber)
 
-    def to_points(self, points: Points, rectangles: Rectangles, *, reused: bool = False) -> Floats:
+    def to_points(
+        self,
+        points: Points,
+        rectangles: Rectangles,
+        *,
+        reused: bool = False,
+        moving: bool = False,
+    ) -> Floats:
         """Return the (3 n, 3 k) displacement in mm/N of ``points`` (n, 3) per unit global force on
         each rectangle.
 
         The rectangles' own ``force_n`` is ignored. With ``reused`` more patches in the same place
-        will follow. Raises like `displacement`.
+        will follow, with ``moving`` other points for the same patches. Raises like `displacement`.
         """
         known = self._checked(points, rectangles)
         shape = (3 * len(known), 3 * len(rectangles))
@@ -288,7 +295,7 @@ class Compliance:
         if table := self._table_of_many(known, rectangles, reused=reused):
             w = table.corrections(known, rectangles).reshape(shape)
         else:
-            w = self._solved_corrections(known, rectangles, reused).reshape(shape)
+            w = self._solved_corrections(known, rectangles, reused, moving).reshape(shape)
         if (layer := self._layer_beside(table)) is not None:
             w += layer.compliance(known.points, rectangles, 1.0)
         whole = halfspace.compliance(known.points, rectangles, *self._rubber)
@@ -307,19 +314,21 @@ class Compliance:
         return table
 
     def _solved_corrections(
-        self, known: PointCache, rectangles: Rectangles, reused: bool
+        self, known: PointCache, rectangles: Rectangles, reused: bool, moving: bool
     ) -> Floats:
         """Return (n, 3, k, 3) by the fewest solves: a region for patches close together, or for
         many that more will follow, else by patch or by point."""
         places = known.placed(self._locator)
         if self._surface_table is not None and self._surface_table.covers(rectangles):
             return self._surface_table.corrections(places, rectangles)
+        if moving:
+            return patch_corrections(self.system, self.body, places, rectangles, moving=True)
         near = Region.pays(rectangles, reused=reused)
         if near or EdgeRegion.pays(rectangles, reused=reused):
             if self._region is None or not self._region.covers(rectangles):
                 self._region = _region(self.system, self.body, rectangles, near)
             return self._region.corrections(places, rectangles)
-        if FEW * len(known) >= len(rectangles):  # fields, unlike readings, serve points that move
+        if FEW * len(known) >= len(rectangles):
             return patch_corrections(self.system, self.body, places, rectangles)
         adjoint = self._point_caches.make_sole(
             known, "adjoint", lambda: AdjointFields(self.system, self.body, places)

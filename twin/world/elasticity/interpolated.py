@@ -91,7 +91,8 @@ class Region:
             for a, b in zip(self._low, self._high, strict=True)
         ]
         half = SNAP_SIZE ** np.round(np.log(rectangles.half_mm.mean(axis=0)) / math.log(SNAP_SIZE))
-        self._fields = _fields_of(system, body, self._probes(body, half))
+        probes = self._probes(body, half)
+        self._fields = _fields_of(system, body, probes, probes.frames.transpose(0, 2, 1))
 
     @staticmethod
     def pays(rectangles: Rectangles, *, reused: bool = False) -> bool:
@@ -167,7 +168,8 @@ class EdgeRegion(Region):
         flat = np.linalg.matrix_rank(offsets) == 2
         self._hull = ConvexHull(offsets).equations if flat else None
         self._to_probes = np.linalg.pinv(products[chosen], rcond=INDEPENDENT)
-        self._fields = _fields_of(system, body, rectangles[chosen])
+        probes = rectangles[chosen]
+        self._fields = _fields_of(system, body, probes, probes.frames.transpose(0, 2, 1))
 
     @staticmethod
     def pays(rectangles: Rectangles, *, reused: bool = False) -> bool:
@@ -192,13 +194,15 @@ class EdgeRegion(Region):
         return chebvander2d(scaled[:, 0], scaled[:, 1], self._degrees)
 
 
-def _fields_of(system: TaylorHood, body: Body, probes: Rectangles) -> Floats:
-    """Return the (N, 3, 3 p) corrections under unit forces along the axes of p patches."""
-    axes = probes.frames.transpose(0, 2, 1)
+def _fields_of(system: TaylorHood, body: Body, rectangles: Rectangles, axes: Floats) -> Floats:
+    """Return the (N, 3, 3 k) corrections under unit forces along axes (k, 3, 3) of k patches, of
+    which each is a column, as they are kept on disk."""
     return cached_field(
-        field_key(system, body, probes.centre_mm, probes.half_mm),
-        lambda: np.concatenate([field for _, field in _solved(system, body, probes, axes)], axis=2),
-        (len(system.mesh.points), 3, 3 * len(probes)),
+        field_key(system, body, rectangles.centre_mm, rectangles.frames, rectangles.half_mm, axes),
+        lambda: np.concatenate(
+            [field for _, field in _solved(system, body, rectangles, axes)], axis=2
+        ),
+        (len(system.mesh.points), 3, 3 * len(rectangles)),
         single=True,
     )
 
@@ -212,25 +216,26 @@ def _nodes(size_mm: Floats) -> Ints:
 
 
 def patch_corrections(
-    system: TaylorHood, body: Body, places: Locator.Places, rectangles: Rectangles
+    system: TaylorHood,
+    body: Body,
+    places: Locator.Places,
+    rectangles: Rectangles,
+    *,
+    moving: bool = False,
 ) -> Floats:
     """Return (n, 3, k, 3) like `Region.corrections`, every patch being solved for itself. The
-    fields are kept on disk, unless they fill more than `KEPT_BYTES`."""
-    axes = np.broadcast_to(np.eye(3), (len(rectangles), 3, 3))
+    fields are kept on disk if they fill no more than `KEPT_BYTES`, or if points are ``moving``."""
+    nodes, patches = len(system.mesh.points), len(rectangles)
+    matrix = places.matrix(nodes)
+    axes = np.broadcast_to(np.eye(3), (patches, 3, 3))
+    together = max(KEPT_BYTES // (4 * 9 * nodes), 1)
     parts = _solved(system, body, rectangles, axes)
-    matrix = places.matrix(len(system.mesh.points))
-    if 4 * 9 * len(system.mesh.points) * len(rectangles) <= KEPT_BYTES:
-        key = field_key(system, body, rectangles.centre_mm, rectangles.frames, rectangles.half_mm)
-        fields = cached_field(
-            key,
-            lambda: np.concatenate([field for _, field in parts], axis=2),
-            (len(system.mesh.points), 3, 3 * len(rectangles)),
-            single=True,
-        )
-        parts = iter([(slice(None), fields)])
-    out = np.empty((len(places.nodes), 3, len(rectangles), 3))
+    if moving or patches <= together:
+        files = [slice(first, first + together) for first in range(0, patches, together)]
+        parts = ((f, _fields_of(system, body, rectangles[f], axes[f])) for f in files)
+    out = np.empty((len(places.nodes), 3, patches, 3))
     for part, fields in parts:
-        out[:, :, part] = (matrix @ fields.reshape(len(fields), -1)).reshape(len(out), 3, -1, 3)
+        out[:, :, part] = (matrix @ fields.reshape(nodes, -1)).reshape(len(out), 3, -1, 3)
     return out
 
 
