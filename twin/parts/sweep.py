@@ -59,7 +59,8 @@ class Sweep(Part):
     derived
         Keys that follow others.
     fidelity
-        Any of closed, linear, full.
+        Any of closed, linear, full; by default closed and linear, or full alone where the scene's
+        ``reconstruction.method`` is ``local``, which is not linear.
     sampling
         ``grid``: every combination; ``latin``, ``sobol``, ``random``: ``count`` designs.
     count

@@ -17,7 +17,7 @@ from twin.study.recipe import shipped_scenes
 from twin.study.sweep.designs import Designs, load_sweep
 from twin.study.sweep.fidelities import closed
 from twin.study.sweep.loads import Bodies
-from twin.study.sweep.sweep_run import estimate
+from twin.study.sweep.sweep_run import estimate, run_sweep
 from twin.theory.limit import Limit
 from twin.theory.optics import project_with_jacobian
 from twin.world.elasticity.block_table import Table
@@ -97,6 +97,16 @@ def test_an_axis_without_numbers_is_refused_by_its_key(values: str, said: str, t
     (tmp_path / "sweep.toml").write_text(f'scene = "block_bare"\n[axes]\n"body.thickness_mm" = {values}\n')
     with pytest.raises(RecipeError, match=rf"axes\.body\.thickness_mm.*{said}"):
         load_sweep(tmp_path / "sweep.toml")
+
+
+def test_only_the_full_chain_judges_a_single_layer_by_default(tmp_path: Path) -> None:
+    path = tmp_path / "pad.toml"
+    path.write_text('scene = "gelpad_press"\n[axes]\n"markers.dots.depth_mm" = [0.5]\n')
+    sweep, scene = load_sweep(path)
+    assert sweep.ladder == ("full",)
+    with pytest.raises(RecipeError, match="--optimise searches by the closed form or linear information"):
+        run_sweep(sweep, scene, tmp_path / "out", optimise=True)
+    assert load_sweep(path, {"reconstruction.method": "smooth"})[0].ladder == ("closed", "linear")
 
 
 def test_every_wrong_key_of_a_file_is_said_with_the_file(tmp_path: Path) -> None:

@@ -262,6 +262,10 @@ def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     except InputError as problem:
         raise InputError(f"{path}: scene: {problem}") from None
     _check_keys(sweep, scene, str(path))
+    inverse = scene.reconstruction
+    is_linear = inverse is None or inverse.method != "local"
+    if not is_linear and "fidelity" not in sweep.model_fields_set:
+        sweep = sweep.model_copy(update={"fidelity": ("full",)})
     return sweep, scene
 
 
