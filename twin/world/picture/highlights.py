@@ -57,18 +57,16 @@ def add_highlights(
     strength = (1 - light.ambient) * job.unit_mm**2 * job.lamps[which, :, 3]
 
     # The place where the surface itself mirrors each LED; the ray to the camera moves no pixel.
-    to_camera = np.cross(local[:, 0], local[:, 1])
-    to_camera = _unit(to_camera * np.where(to_camera[:, 2:] < 0, -1, 1))[:, None]
+    across = np.cross(local[:, 0], local[:, 1])
+    to_camera = _unit(across * np.where(across[:, 2:] < 0, -1, 1))[:, None]
     place = centres[:, None]
     for _ in range(2):
         towards = leds - place
         normal = _unit(_unit(towards) + to_camera)
         # An ellipsoid has the normal m at A A^T m / |A^T m| from its centre.
-        turned = normal @ axes
-        turned /= np.linalg.norm(turned, axis=2, keepdims=True)
-        place = centres[:, None] + turned @ np.swapaxes(axes, 1, 2)
+        place = centres[:, None] + _unit(normal @ axes) @ np.swapaxes(axes, 1, 2)
     distance = np.linalg.norm(towards, axis=2)
-    cosine = np.sum(towards * normal, axis=2) / distance
+    cosine = np.einsum("nlc,nlc->nl", towards, normal) / distance
     free = _unhidden(markers, job, which, place, leds, centres + 100 * to_camera[:, 0])
     # What facets shadow and hide of each other is off (Smith), as at the middle of a highlight.
     slant = np.sqrt(1 / np.clip(cosine, 1e-3, 1) ** 2 - 1)
@@ -77,28 +75,25 @@ def add_highlights(
     power = np.pi / 4 * mirrored * strength / distance**2 * free * open_both_ways
 
     # A pixel's light is what comes from the area that it sees.
-    area = np.sqrt(np.linalg.det(local @ np.swapaxes(local, 1, 2)))
-    power *= (area * np.linalg.det(axes) ** 2)[:, None]
+    power *= (np.linalg.norm(across, axis=1) * np.linalg.det(axes) ** 2)[:, None]
     # Normals of facets about that place's, in rings, each standing for the same share of them.
     rings = np.arange(_RINGS if light.radius_mm == 0 else 1)
     turn = 2 * np.pi / _AROUND * (np.arange(_AROUND) + _GOLDEN * rings[:, None])
     around = np.stack([np.cos(turn), np.sin(turn)], axis=2)
-    one = _unit(np.cross(normal, [1.0, 0.0, 0.0]))
-    frames = np.stack([one, np.cross(normal, one), normal], axis=2)
-    # What a facet's turned normal, and its cosines to the LED and the camera, have of each of them.
-    parts = np.concatenate(
-        [frames @ axes[:, None], frames @ towards[..., None], frames @ to_camera[..., None]], axis=3
-    )
     tints = np.broadcast_to(job.tints, (3, power.shape[1]))
     seen_at = (job.centres_px[which], local @ axes, tints, view.vignette)
-    _draw(around, roughness[:, 0], parts, power, *seen_at, picture)
+    ways = (axes, towards, to_camera[:, 0])
+    _draw(around, roughness[:, 0], normal, *ways, power, *seen_at, picture)
 
 
 @njit(cache=True)
 def _draw(
     around: Floats,
     roughness: Floats,
-    parts: Floats,
+    normals: Floats,
+    axes: Floats,
+    towards: Floats,
+    to_camera: Floats,
     power: Floats,
     middles: Floats,
     mapped: Floats,
@@ -109,16 +104,31 @@ def _draw(
     """Add every highlight's samples to the (height, width, 3) ``picture``, each in the pixel where
     the surface has its normal.
 
-    ``around`` (rings, samples, 2) are directions of unit length. The rows of ``parts``
-    (n, leds, 3, 5) are of two tangents and the normal: their parts along the semi-axes, to the LED
-    and to the camera. ``mapped`` (n, 2, 3) are the semi-axes in the picture about ``middles``.
+    ``around`` (rings, samples, 2) are directions of unit length, ``normals`` (n, leds, 3) those
+    about which facets' normals lie, ``axes`` (n, 3, 3) the semi-axes as columns, and ``towards``
+    (n, leds, 3) and ``to_camera`` (n, 3) ways. ``mapped`` (n, 2, 3) are the semi-axes in the
+    picture about ``middles``.
     """
     height, width, _ = picture.shape
     samples = around.shape[0] * around.shape[1]
+    frame = np.empty((3, 3))
+    ways = np.empty((3, 5))
+    parts = np.empty((3, 5))
     for i, led in np.ndindex(power.shape):
         if power[i, led] <= 0:
             continue
-        one, two, normal = parts[i, led]
+        # Two tangents and the normal, and what each has along the semi-axes, to LED and camera.
+        a, b, c = normals[i, led]
+        slope = max(np.sqrt(b * b + c * c), 1e-300)
+        frame[0] = 0.0, c / slope, -b / slope
+        frame[1] = -slope, a * b / slope, a * c / slope
+        frame[2] = a, b, c
+        ways[:, :3], ways[:, 3], ways[:, 4] = axes[i], towards[i, led], to_camera[i]
+        for row, column in np.ndindex(3, 5):
+            parts[row, column] = 0.0
+            for k in range(3):
+                parts[row, column] += frame[row, k] * ways[k, column]
+        one, two, normal = parts
         for ring in range(around.shape[0]):
             q = (ring + 0.5) / around.shape[0]
             tangent = roughness[i] * np.sqrt(q / (1 - q))
@@ -149,7 +159,8 @@ def _draw(
 
 def _unit(vectors: Floats) -> Floats:
     """Return vectors of length 1."""
-    unit: Floats = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+    square = np.einsum("...i,...i->...", vectors, vectors)[..., None]
+    unit: Floats = vectors / np.sqrt(np.maximum(square, 1e-300))
     return unit
 
 
@@ -167,8 +178,8 @@ def _unhidden(
     row, led = row_of[pair // count], pair % count
     ours = row >= 0
     row, led, other = row[ours], led[ours], job.occluder_members[ours]
-    inverse: Floats = np.asarray(np.linalg.inv(job.axes * job.unit_mm), np.float64)
-    balls = (markers.centres, inverse)
+    metric: Floats = job.metric / job.unit_mm**2
+    balls = (markers.centres, metric)
     hidden = _blocks(balls, other, place[row, led], leds[row, led])
     free[row[hidden], led[hidden]] = False
     # A list for the camera.
@@ -178,19 +189,22 @@ def _unhidden(
     sizes = np.linalg.norm(markers.axes, axis=(1, 2))
     first, members = PictureJob.occluders(markers.centres, sizes, targets, wanted)
     row = row_of[np.repeat(np.arange(len(markers)), np.diff(first))]
-    for led in range(count):
-        hidden = _blocks(balls, members, place[row, led], camera[row])
-        free[row[hidden], led] = False
+    hidden = _blocks(balls, members[:, None], place[row], camera[row, None])
+    member, led = np.nonzero(hidden)
+    free[row[member], led] = False
     return free
 
 
 def _blocks(balls: tuple[Points, Floats], others: Indices, start: Points, end: Points) -> Bools:
-    """Return whether the line between two places, (m, 3) each, meets each of (m,) markers.
+    """Return whether the line between two places, (..., 3) each, meets each of (...) markers.
 
-    ``balls`` are all centres, and the matrices that make unit balls of the markers.
+    ``balls`` are all centres, and the metrics in which the markers are balls of radius 1.
     """
     centres, metric = balls[0][others], balls[1][others]
-    begin = np.einsum("mij,mj->mi", metric, start - centres)
-    way = np.einsum("mij,mj->mi", metric, end - start)
-    part = np.clip(-np.sum(begin * way, axis=1) / np.sum(way**2, axis=1), 0, 1)
-    return np.asarray(np.sum((begin + part[:, None] * way) ** 2, axis=1) < 1)
+    begin, way = start - centres, end - start
+    # Squares of (begin + part way) in the metric.
+    steep = np.einsum("...ij,...i,...j->...", metric, way, way)
+    slope = np.einsum("...ij,...i,...j->...", metric, begin, way)
+    square = np.einsum("...ij,...i,...j->...", metric, begin, begin)
+    part = np.clip(-slope / steep, 0, 1)
+    return np.asarray(square + part * (2 * slope + part * steep) < 1)
