@@ -134,6 +134,7 @@ def test_unusable_arguments():
         ((rest, rest.astype(np.uint16), LAYOUT), "by 64"), ((rest, rest[:, : SIZE[0] // 2], LAYOUT), "mode"),
         ((rest, np.dstack([rest, rest[..., :1]]), LAYOUT), "channels"), ((rest, rest, {}), "no layers"),
         ((rest, rest, {"red": np.full((3, 2), np.nan)}), "finite"),
+        ((rest, rest, {"red": 9000 + LAYOUT["red"]}), "outside the picture of"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
             track(*arguments)

@@ -111,7 +111,7 @@ def analyse_rest(
     picture = as_picture(rest_image, "the rest picture")
     flaws = Flaws.of(picture)
     picture = flaws.mended(picture)
-    drawn = _checked_layout(layout)
+    drawn = _checked_layout(layout, picture)
     _check_options(drawn, diameter_px, polarity, channels, method)
     rest = _analysed(picture, flaws, drawn, diameter_px, polarity, channels, method)
     # bands may hide markers, which are about where they are drawn
@@ -255,7 +255,7 @@ def _nearest(nominal: Pixels, spots: Pixels, fit: Bools) -> Ints:
     return np.unique(rows[cKDTree(spots[rows]).query(nominal)[1]])
 
 
-def _checked_layout(layout: Mapping[str, Pixels]) -> dict[str, Pixels]:
+def _checked_layout(layout: Mapping[str, Pixels], picture: Picture) -> dict[str, Pixels]:
     wanted = "give {layer name: (n, 2) nominal positions in px}"
     require(layout, Mapping, "the layout", wanted)
     drawn = {str(name): np.atleast_2d(np.asarray(points, float)) for name, points in layout.items()}
@@ -272,6 +272,13 @@ def _checked_layout(layout: Mapping[str, Pixels]) -> dict[str, Pixels]:
                 f"layout[{name!r}] must be (n, 2) finite px (column, row) with n >= 1, got shape "
                 f"{points.shape}"
             )
+    height, width = picture.shape[:2]
+    places = np.concatenate(list(drawn.values()))
+    if not ((places > -0.5) & (places < np.array([width, height]) - 0.5)).all(axis=1).any():
+        raise InputError(
+            f"the layout lies outside the picture of {width}x{height} px, its first marker at "
+            f"column {places[0, 0]:.5g}, row {places[0, 1]:.5g}"
+        )
     return drawn
 
 

@@ -700,8 +700,11 @@ def _check_forces(scene: Scene, force_n: Floats, inward: Floats) -> None:
     low, high = scene.body.bounds_mm
     radius = scene.calibration.press_probe_mm / 2
     most = int(size.argmax())
-    if size[most] == 0:
-        raise InputError(f"{TABLE}: no press has a force; give what the load cell reads, N")
+    if size.min() == 0:
+        raise InputError(
+            f"{TABLE}: press {int(size.argmin()) + 1} has no force; give what the load cell reads, "
+            "N, or leave its line out"
+        )
     if np.all(np.einsum("ij,ij->i", force_n, inward) <= 0):
         raise InputError(
             f"{TABLE}: every press pulls (the largest by fz_n = {force_n[most, 2]:.4g} N): forces "
@@ -796,6 +799,8 @@ def _by_presses(
     near = np.abs(scene.body.depth(points)) <= scene.calibration.press_probe_mm / 2
     inside = scene.body.contains(scene.body.chart_points(charts), -1e-6)
     _require_places(scene.body, places_mm, np.asarray(inside & near))
+    if twice := [name for number, name in enumerate(names) if name in names[:number]]:
+        raise InputError(f"{TABLE}: two lines name {twice[0]}; each press has its own picture")
     for name, shift in zip(names, presses.shift_px, strict=True):
         if not np.nan_to_num(shift).any():
             raise InputError(

@@ -235,6 +235,10 @@ def test_two_writers_are_refused(tmp_path: Path) -> None:
     lock = only_writer(folder, folder / "meta" / "writer.lock")
     with lock, pytest.raises(InputError, match="another process"):
         make(folder)
+    (folder / "README.md").write_text("mine")
+    with pytest.raises(InputError, match=r"has README.md but no meta/info.json"):
+        make(folder)
+    assert (folder / "README.md").read_text() == "mine"
 
 
 def test_another_scene_columns_or_versions_are_refused(made: Path, tmp_path: Path) -> None:

@@ -33,10 +33,11 @@ def prepare(plan: Plan, places: Places, progress: Progress | None) -> Plan:
     """
     if places.info.is_file():
         return _resumed(plan, places)
-    if any(places.folder.glob("data/*")):
+    inside = sorted(each.name for each in places.folder.iterdir() if each != places.meta)
+    if others := [name for name in inside if not name.startswith(".")]:
         raise InputError(
-            f"{places.folder}: has data but no meta/info.json, so it is no dataset; give another "
-            f"--out"
+            f"{places.folder}: has {others[0]} but no meta/info.json, so it is no dataset, and a "
+            "dataset has a folder of its own; give another --out"
         )
     scene, files = portable(plan.scene)
     _put_down(scene, files, places.meta)
