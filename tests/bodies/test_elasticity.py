@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from layered import Layered, bump_displacement
 from slabs import block_boxes
-from standard_bodies import BLOCK, DOME, REFERENCE, asymmetry, relative_error, traction_of, write_stl
+from standard_bodies import BLOCK, DOME, REFERENCE, assert_near, asymmetry, rectangles, relative_error, traction_of
 from stl_shapes import (
     SENSING_BELOW,
     bracket,
@@ -18,6 +18,7 @@ from stl_shapes import (
     solid_dome,
     solid_pad,
     wedge,
+    write_stl,
 )
 
 import twin.world.mesh.body_mesh
@@ -137,14 +138,28 @@ def test_check_names_the_place_of_an_edge_too_sharp_for_any_mesh(tmp_path, says)
     assert "an edge of 8 deg at (20, 0, 2.811) mm" in says(1, "check", str(tmp_path / "wedge.toml"))
 
 
-def test_a_load_whose_plane_the_body_crosses_is_refused(tmp_path):
-    turned = (bracket() * np.array([1.0, 1, -1]))[:, ::-1] + np.array([0, 0, 12.0])
-    leg = {"plane": {"point_mm": (0, 0, 12), "normal": (0, 0, 1)}}
-    file = write_stl(tmp_path / "turned.stl", turned)
-    solid = Solid(file=str(file), origin_mm=(-3, 0, 0), held=leg, sensing=SENSING_BELOW)
+def turned_bracket(folder, height):
+    """Return the bracket held by its pad, whose free side lies two thirds of the ``height`` deep beside the leg."""
+    turned = (bracket() * np.array([1.0, 1, -height / 12]))[:, ::-1] + np.array([0, 0, height])
+    held = {"plane": {"point_mm": (0, 0, height), "normal": (0, 0, 1)}}
+    file = write_stl(folder / "turned.stl", turned)
+    return Solid(file=str(file), origin_mm=(-3, 0, 0), held=held, sensing=SENSING_BELOW)
+
+
+def test_a_load_beside_what_stands_too_high_is_refused(tmp_path):
+    solid = turned_bracket(tmp_path, 12.0)
     load = tile(Traction.rectangle((7, 0), (2, 2), (0, 0, 1)), solid)
-    with pytest.raises(InputError, match=r"reaches 8 mm over .* method='direct'"):
+    with pytest.raises(InputError, match=r"by 0.781 of the distance .* method='direct'"):
         Compliance(solid, RUBBER).displacement(np.array([[7.0, 0, 9]]), load)
+
+
+@pytest.mark.parametrize("nu", [0.5, 0.3])
+def test_beside_what_stands_out_loads_on_both_sides_are_reciprocal(own_cache, nu):
+    solid = turned_bracket(own_cache, 4.8)
+    patches = rectangles([[7.2, 0, 3.2], [7.0, 2, 3.2], [2.3, 0, 0], [2.0, 1.5, 0]], (0.25, 0.25), np.zeros((4, 3)))
+    stiff = Compliance(solid, Material(youngs_modulus_mpa=1.0, poisson_ratio=nu), level="coarse")
+    matrix = stiff.to_points(patches.centre_mm, patches, reused=True)
+    assert_near(matrix[6:, :6], matrix[:6, 6:].T, 0.03)
 
 
 @pytest.fixture

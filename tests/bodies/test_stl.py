@@ -348,5 +348,5 @@ def test_the_wall_of_a_hole_is_bent_into_the_rubber_and_ends_at_the_flat_sides(t
 def test_a_surface_knows_its_dents(tmp_path):
     solid = solid_bracket(tmp_path)
     on = np.array([[0.0, 0, 0], [6, 0, 2], [3, 0, 4]])
-    assert_allclose(solid.stands_out(on, np.array([[0.0, 0, 1], [-1, 0, 0], [0, 0, -1]])), [0, 0, 8])
+    assert_allclose(solid.stands_out(on, np.array([[0.0, 0, 1], [-1, 0, 0], [0, 0, -1]])), [0, 0, 8 / np.sqrt(98)])
     assert Surface.welded(bracket(), "it").volume_mm3 == pytest.approx(960)

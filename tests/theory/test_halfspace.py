@@ -14,8 +14,10 @@ NUS = (0.5, 0.3, -0.2)
 
 @pytest.fixture
 def points():
+    """Below the rectangles, and over their plane beside them."""
     rng = np.random.default_rng(3)
-    return np.column_stack([rng.uniform(-2.5, 2.5, (25, 2)), rng.uniform(0.3, 4.0, 25)])
+    below = np.column_stack([rng.uniform(-2.5, 2.5, (25, 2)), rng.uniform(0.3, 4.0, 25)])
+    return np.concatenate([below, [[2.0, -0.2, -0.6], [0.4, 1.4, -0.9], [-1.8, -2.0, -1.4], [9.0, 1.0, -6.0]]])
 
 
 @pytest.mark.parametrize("nu", NUS)

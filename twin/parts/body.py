@@ -288,7 +288,7 @@ MOST_PIECES = 40
 WINDOW_MM = 1e-2
 """How far the corners of held triangles may be from the base plane that a camera looks through."""
 
-_ORIGIN_MM = 1e-3
+_ORIGIN_MM = _ROUNDED_MM = 1e-3  # corners in a file are rounded
 _UPRIGHT = (
     "z points from the pressed surface, at z = 0, into the body: turn it in CAD if it does not"
 )
@@ -574,8 +574,11 @@ class Solid(StlFile, Body):
     def stands_out(self, points: Points, normals: Floats) -> Floats:
         if self.is_convex:
             return np.zeros(len(points))
-        height = self._pieces.hull_vertices @ normals.T - np.einsum("ni,ni->n", points, normals)
-        return np.asarray(np.maximum(-height.min(axis=0), 0.0))
+        far = self._pieces.hull_vertices
+        over = np.einsum("ni,ni->n", points, normals) - far @ normals.T
+        squared = (far**2).sum(axis=1)[:, None] - 2.0 * far @ points.T + (points**2).sum(axis=1)
+        rise = np.where(over > _ROUNDED_MM, over**2, 0.0) / np.maximum(squared, _ROUNDED_MM**2)
+        return np.asarray(np.sqrt(rise.max(axis=0)))
 
     @property
     def own_surface(self) -> tuple[Points, Ints] | None:

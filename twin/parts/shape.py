@@ -170,7 +170,8 @@ class Body(Part):
         return bool(not distances[:, 0].any() and distances[:, 1:].min() > 0.0)
 
     def stands_out(self, points: Points, normals: Floats) -> Floats:
-        """Return (n,) how far the body reaches over planes, ``normals`` pointing inwards, mm."""
+        """Return (n,) how steeply the body rises over planes at points, ``normals`` pointing
+        inwards: height over straight distance."""
         return np.zeros(len(points))
 
     @property

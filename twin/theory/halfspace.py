@@ -21,10 +21,10 @@ nu < 1/2 the three arctangents of a corner are two, since
 The kernels work in the frame of the load and return everything divided by c, per unit force. k is
 1 - 2 nu; -nu/pi n . f with n_j = x_j / r^3 is lambda div u, which stays finite at nu = 1/2.
 
-Validity: small strain, linear isotropic rubber, points on or below every rectangle's plane, sides
-of 1e-30 to 1e30 mm. Infinite values on a rectangle's edges at the surface are given as finite. On
-the 40 mm block these formulas alone are 9 to 17 % wrong: `twin.world.elasticity.compliance` adds
-the rest.
+Validity: small strain, linear isotropic rubber, sides of 1e-30 to 1e30 mm, points on or below every
+rectangle's plane, or over it beside the rectangle, where the same formulas go on. Infinite values
+on a rectangle's edges at the surface are given as finite. On the 40 mm block these formulas alone
+are 9 to 17 % wrong: `twin.world.elasticity.compliance` adds the rest.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def displacement(
     Parameters
     ----------
     points
-        (n, 3) points, mm, on or below every rectangle's plane.
+        (n, 3) points, mm, not above a rectangle.
     load
         k rectangles and their forces, N, along the axes of the body; z leads into it.
     youngs_modulus_mpa, poisson_ratio
@@ -94,7 +94,7 @@ def compliance(
     Parameters
     ----------
     points
-        (n, 3) points, mm, on or below every rectangle's plane.
+        (n, 3) points, mm, not above a rectangle.
     rectangles
         k rectangles; their forces don't count.
     youngs_modulus_mpa, poisson_ratio
@@ -176,13 +176,12 @@ def _pairs(points: Points, load: Rectangles) -> tuple[Floats, Floats, Floats, Fl
 
 @njit(cache=True)
 def _local(point: Floats, centre: Floats, frame: Floats) -> tuple[float, float, float]:
-    """Return the point in the rectangle's frame; a hair's breadth above its plane counts as on
-    it."""
+    """Return the point in the rectangle's frame."""
     dx, dy, dz = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     x = frame[0, 0] * dx + frame[0, 1] * dy + frame[0, 2] * dz
     y = frame[1, 0] * dx + frame[1, 1] * dy + frame[1, 2] * dz
     z = frame[2, 0] * dx + frame[2, 1] * dy + frame[2, 2] * dz
-    return x, y, max(z, 0.0)
+    return x, y, z
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
@@ -198,7 +197,7 @@ def _of_point_forces(points: Floats, centre: Floats, force: Floats, k: float, ou
         for q in range(points.shape[1]):
             dx = points[0, q] - x
             dy = points[1, q] - y
-            dz = max(points[2, q] - z, 0.0)
+            dz = points[2, q] - z
             # 1/r and 1/(r + z) from one division.
             r2 = dx * dx + dy * dy + dz * dz
             r = math.sqrt(r2)
@@ -332,6 +331,8 @@ def rectangle_terms(
     x: float, y: float, z: float, a: float, b: float, k: float, u: Floats, n: Floats
 ) -> None:
     """Set u (3, 3) and n (3,) to the mean over -a..a by -b..b; a = b = 0 is a point force."""
+    if abs(x) <= a and abs(y) <= b:
+        z = max(z, 0.0)  # a hair's breadth above the rectangle counts as on it
     distance = x * x + y * y + z * z
     size = a * a + b * b
     if size == 0.0:
@@ -356,6 +357,8 @@ def rectangle_slopes(
         for j in range(3):
             for m in range(3):
                 d[i, j, m] = 0.0
+    if abs(x) <= a and abs(y) <= b:
+        z = max(z, 0.0)  # a hair's breadth above the rectangle counts as on it
     distance = x * x + y * y + z * z
     size = a * a + b * b
     if size > 0.0 and distance <= _FAR_3 * _FAR_3 * size:
@@ -497,8 +500,11 @@ def _log_ratio(y1: float, r1: float, y2: float, r2: float, rest: float) -> float
 
 @njit(cache=True, forceinline=True)
 def _turn(s1: float, c1: float, s2: float, c2: float) -> float:
-    """Return atan(s1 / c1) - atan(s2 / c2), c1 and c2 not negative."""
-    return math.atan2(s1 * c2 - c1 * s2, c1 * c2 + s1 * s2)
+    """Return the angle of c1 + i s1 less that of c2 + i s2, each between -pi and pi."""
+    turn = math.atan2(s1 * c2 - c1 * s2, c1 * c2 + s1 * s2)
+    if s1 * s2 < 0.0 and s1 * turn < 0.0:
+        turn += math.copysign(2.0 * math.pi, s1)
+    return turn
 
 
 @njit(cache=True, forceinline=True)
@@ -525,9 +531,9 @@ def _solid_angle(
     the rectangle.
 
     It is the argument of a product of four complex numbers, up to a turn: more than pi is seen from
-    above the rectangle only, and seen past its edges never less than 0 but by round-off.
+    above the rectangle only. It has the sign of z.
     """
-    if z > 0.0:
+    if z != 0.0:
         a = x1 * z * (y1 * r12 - y2 * r11)
         b = z * z * r11 * r12 + x1 * x1 * y1 * y2
         c = x2 * z * (y2 * r21 - y1 * r22)

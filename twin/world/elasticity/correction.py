@@ -168,12 +168,11 @@ def _distant(
         f_n = (rows[4, t] - fx) * nx + (rows[5, t] - fy) * ny + (rows[6, t] - fz) * nz
         flat_f, flat_a = x * fx + y * fy + z * fz, x * ax + y * ay + z * az - deep * a_n
         both = ax * fx + ay * fy + az * fz
-        below = max(deep, 0.0)
-        over_r = 1.0 / math.sqrt(r2 - deep * deep + below * below)
-        s = 1.0 / (1.0 / over_r + below)
+        over_r = 1.0 / math.sqrt(r2)
+        s = 1.0 / (1.0 / over_r + deep)
         p = over_r * s * s
         w, v = p * over_r * (over_r + 2.0 * s), over_r * s * over_r * (over_r + s)
-        on_a = (flat_f + below * f_n) * over_r * over_r * over_r - p * flat_f - f_n * s * over_r
+        on_a = (flat_f + deep * f_n) * over_r * over_r * over_r - p * flat_f - f_n * s * over_r
         on_f = -p * flat_a
         on_x = flat_a * (w * flat_f + v * f_n) - p * both
         on_n = on_a * a_n + on_x * deep
@@ -684,7 +683,7 @@ def _far(away: Floats, area: Floats, frame: Floats, half: Floats, nu: float, t: 
     weight = 0.25 * (1.0 - 2.0 * nu)
     x0 = frame[0, 0] * away[0] + frame[0, 1] * away[1] + frame[0, 2] * away[2]
     y0 = frame[1, 0] * away[0] + frame[1, 1] * away[1] + frame[1, 2] * away[2]
-    z = max(frame[2, 0] * away[0] + frame[2, 1] * away[1] + frame[2, 2] * away[2], 0.0)
+    z = frame[2, 0] * away[0] + frame[2, 1] * away[1] + frame[2, 2] * away[2]
     ax = frame[0, 0] * area[0] + frame[0, 1] * area[1] + frame[0, 2] * area[2]
     ay = frame[1, 0] * area[0] + frame[1, 1] * area[1] + frame[1, 2] * area[2]
     # Sum the plane part's two rows in the rectangle's frame.
@@ -733,7 +732,7 @@ def _near(
     """
     x = frame[0, 0] * away[0] + frame[0, 1] * away[1] + frame[0, 2] * away[2]
     y = frame[1, 0] * away[0] + frame[1, 1] * away[1] + frame[1, 2] * away[2]
-    z = max(frame[2, 0] * away[0] + frame[2, 1] * away[1] + frame[2, 2] * away[2], 0.0)
+    z = frame[2, 0] * away[0] + frame[2, 1] * away[1] + frame[2, 2] * away[2]
     a, b, k = half[0], half[1], 1.0 - 2.0 * nu
     rectangle_slopes(x, y, z, a, b, k, d, n)
     for i in range(3):

@@ -41,8 +41,9 @@ SAMPLES = 5
 ON_SURFACE_MM = 1e-3
 """How far off the sensing surface a 3-D centre may be; it is then moved onto it."""
 
-STANDS_OUT_MM = 1e-3
-"""How far a body may reach over a load's plane: corners in a file are rounded."""
+STEEPEST = 0.7
+"""How steeply a body may rise over a load's plane, height over distance (45 degrees): the
+half-space's field goes on there, but is singular straight over the load where nu < 1/2."""
 
 
 EDGE_MM, OVERHANG = 1e-4, 0.25
@@ -148,19 +149,18 @@ def require_on_surface(body: Body, load: Rectangles, *, half_space: bool = True)
 
 
 def _require_half_space(body: Body, load: Rectangles) -> None:
-    """Raise an `InputError` unless the body lies behind the plane of every rectangle."""
+    """Raise an `InputError` where the body rises too steeply over the plane of a rectangle."""
     if body.is_convex or len(load) == 0:
         return
     out = body.stands_out(load.centre_mm, load.frames[:, 2])
     worst = int(np.argmax(out))
-    if out[worst] > STANDS_OUT_MM:
+    if out[worst] > STEEPEST:
         place = coordinates(load.centre_mm[worst])
         raise InputError(
-            f"the body reaches {out[worst]:.3g} mm over the surface's tangent plane at ({place}) "
-            f"mm (allowed: {STANDS_OUT_MM:g} mm), so the half-space part of the field does not "
-            "hold there: press where nothing stands out (press.at_mm), or leave out of body.file "
-            "what stands out, if it is far away; in Python, Compliance(..., method='direct') does "
-            "without that part on a mesh that is fine under the load"
+            f"the body rises over the surface's tangent plane at ({place}) mm by {out[worst]:.3g} "
+            f"of the distance (allowed: {STEEPEST:g}), too steeply for the half-space's field: "
+            "press where nothing stands out (press.at_mm); in Python, Compliance(..., "
+            "method='direct') does without that field on a mesh that is fine under the load"
         )
 
 
