@@ -665,19 +665,50 @@ def test_slide_ends_like_a_shorter_one_and_like_one_in_steps():
         assert deeper_mm == pytest.approx(deep, abs=0.005)
 
 
+@pytest.mark.slow
+def test_probe_that_is_held_after_a_slide_stays_where_it_slid_to():
+    """All its points lie at the bound of friction: contact did not come to balance."""
+    sensor = made(name="gelpad_slide", **{"material.youngs_modulus_mpa": 0.2})
+    press = sensor.nominal.press
+    _, slid, held = sensor.press(press.model_copy(update={"steps": press.steps[:3]})).path
+    assert held.force_n == pytest.approx(slid.force_n, rel=1e-3, abs=1e-5)
+    places = slid.move_mm * [1.0, 1.0, 0.0] + [[x, y, 1.0] for x in (-1.0, 0.0, 1.0) for y in (0.0, 1.0)]
+    moved = [state.load.strained.displacement(places) for state in (slid, held)]
+    assert moved[1] == pytest.approx(moved[0], abs=2e-3 * slid.indentation_mm)
+
+
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
 RUBBER = Material(law="neo_hookean")
 ROLLED = (twin.Step(force_n=(None, None, 0.5)), twin.Step(force_n=(None, None, 0.5), turn_deg=(0.0, 1.0, 0.0)))
 GUIDED = {"steps": (twin.Step(force_n=(None, None, 0.5), torque_nmm=0.0),), "force_n": None}
 
 
+def tilted_ball(folder):
+    """Return a tilted ball of triangles, whose normals are up to 2 degrees off."""
+    trimesh.creation.icosphere(subdivisions=5, radius=3.0).export(folder / "ball.stl")
+    return {"probe": Stl(file=str(folder / "ball.stl")), "tilt_deg": (20, -10, 5)}
+
+
+@pytest.mark.slow
+def test_ball_of_triangles_rubs_slides_and_turns_as_a_sphere_does(tmp_path):
+    steps = [{}, {"move_mm": (0.15, None, None)}, {"turn_deg": 6.0}, {"move_mm": (0.85, None, None)}]
+    steps = tuple(twin.Step(force_n=(None, None, 1.5 if step else 0.75), **step) for step in steps)
+    sensor = made()
+    ball, sphere = (
+        sensor.press(twin.Press(**probe, friction=0.5, steps=steps)).path
+        for probe in (tilted_ball(tmp_path), {"probe": BALL})
+    )
+    for one, other in zip(ball, sphere, strict=True):
+        assert one.force_n == pytest.approx(other.force_n, abs=1e-3)
+        missed = largest(one.load.strained.displacement(PLACES) - other.load.strained.displacement(PLACES))
+        assert missed < min(2e-3, one.error.strain.markers) * other.indentation_mm
+
+
 @pytest.mark.slow
 def test_tilted_ball_of_triangles_is_another_codes_sphere(tmp_path):
-    """The normals of its triangles are up to 2 degrees off, its chords 0.05 % of the indentation."""
+    """Its chords are 0.05 % of the indentation off."""
     case = next(one for one in TRUTH["cases"] if one["kind"] == "sphere" and one["force_n"] == 3.0)
-    trimesh.creation.icosphere(subdivisions=5, radius=3.0).export(tmp_path / "ball.stl")
-    ball = Stl(file=str(tmp_path / "ball.stl"))
-    sensor, press = made("linear"), twin.Press(probe=ball, tilt_deg=(20, -10, 5), force_n=(0, 0, 3.0))
+    sensor, press = made("linear"), twin.Press(**tilted_ball(tmp_path), force_n=(0, 0, 3.0))
     more = BodyStrain(press, sensor.nominal.body, RUBBER, sensor.press(press), PLACES)
     left, missed = off(case, more, PLACES)
     assert left + case["own_error"] < more.error.markers < min(3.5 * left, missed / 2)
@@ -740,7 +771,6 @@ def test_a_scene_of_the_lowest_poisson_ratio_is_solved_as_casting_leaves_it():
         ({"friction": 0.5, "probe": Cylinder(diameter_mm=3)}, {}, "while a fifth of it sticks"),
         ({"friction": STICKY, "force_n": None, "indentation_mm": 0.1}, {}, "where a force presses it"),
         ({"friction": 0.5, "steps": ROLLED, "force_n": None}, {}, "doesn't roll"),
-        ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0), "friction": 0.5}, {}, "upright probes"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "touches with its rim, solved from 0.15"),
         ({"probe": Pillar(width_mm=0.6)}, {}, "to 0.2 .less force., or with a rim of 0.06 mm it is solved"),
         (GUIDED, {}, "torques across its direction.*guided along it"),
@@ -758,7 +788,6 @@ def test_what_is_not_solved_on_a_whole_body_is_refused_with_its_cause(press, rub
     ("press", "words"),
     [
         ({"friction": 0.5, "probe": Cone(apex_deg=130, diameter_mm=5)}, "friction"),
-        ({"friction": 0.5, "probe": Pillar(width_mm=4), "tilt_deg": (3.0, 0.0, 0.0)}, "upright probes"),
         ({"probe": Object(shape="ring", width_mm=8.0)}, "long or hollow"),
         ({"probe": Object(shape="gear", width_mm=8.0)}, "edges, steps or borders lie under the contact"),
     ],

@@ -1,6 +1,6 @@
 """What linear theory leaves out of presses on a curved body, of square pillars, of several probes,
-of tilted ones and of triangles, and of one sphere, cylinder or pillar with friction on a block or a
-finger, on a mesh of the whole body.
+of tilted ones and of triangles, and of one probe with friction on a block or a finger, on a mesh of
+the whole body.
 
 The mesh is the body's coarsest one, refined under the probes and at the rims of flat faces. The
 linear solution's Newton steps begin at the contact of `pressing`, the other one's at the linear
@@ -18,9 +18,9 @@ don't settle on normals that jump. Without friction a probe that motions turn is
 tilted.
 
 Validity: rigid probes, tilted or not, pressed along their ways without friction on a block, a
-finger or a dome, triangles where they are smooth, several by forces; one upright sphere with
-friction on a block or a finger, pressed by a force, moved sideways and turned about its way, and a
-cylinder or pillar while a part of it sticks; nu from 0.44.
+finger or a dome, triangles where they are smooth, several by forces; one that is no cone with
+friction on a block or a finger, pressed by a force, moved sideways and turned about its way, a flat
+face while a part of it sticks; nu from 0.44.
 """
 
 from __future__ import annotations
@@ -98,14 +98,16 @@ _TOLERANCE = Share(indentation=2e-4, markers=1.5e-3)
 class _Shares:
     """The least error over what linear theory leaves out at a point, its growth per contact radius
     away from the contact's middle, the error over the change to the coarser mesh, the indentation's
-    error over what linear theory leaves out of the displacement, and the least error times a
-    point's distance from the contact over its radius, which hardly depends on the strain."""
+    error over what linear theory leaves out of the displacement, the least error times a point's
+    distance from the contact over its radius, which hardly depends on the strain, and the least
+    error of the force across its way that friction and motions hold, over the whole force."""
 
     near: float
     growth: float
     change: float
     sunk: float
     shallow: float = 0.0
+    across: float = 0.0
 
     @staticmethod
     def under(probe: Probe, radius_mm: float, *, rounded: bool, stiffens: bool) -> _Shares:
@@ -128,9 +130,9 @@ class _Shares:
 
 _ROUND = _Shares(0.025, 0.08, 0.4, 0.04)
 _BLUNT = _Shares(0.11, 0.11, 0.7, 0.04)
-_SMOOTHED = _Shares(0.08, 0.09, 0.7, 0.12)
-_FLAT = _Shares(0.11, 0.11, 0.7, 0.08, 0.0026)
-_ROUNDED = _Shares(0.11, 0.11, 1.2, 0.08, 0.0026)
+_SMOOTHED = _Shares(0.08, 0.09, 0.7, 0.12, 0.0, 0.0015)
+_FLAT = _Shares(0.11, 0.11, 0.7, 0.08, 0.0026, 0.0015)
+_ROUNDED = _Shares(0.11, 0.11, 1.2, 0.08, 0.0026, 0.0015)
 _SHARP = _Shares(0.3, 0.3, 0.7, 0.04)
 """Under spheres, under cones, under smooth triangles, under flat faces, under those that are solved
 with a rounder rim, and under cones with sharp tips (docs/validity.md): from mesh to mesh of one
@@ -210,11 +212,14 @@ class BodyStrain(FiniteStrain):
         if coarse:
             _refuse(material, _too_slow(press, body))
         if not press.friction:
-            turns = [
-                own @ np.radians(at.turns_deg) for own, at in zip(axes, _probes(state), strict=True)
+            sharp = [
+                one.held_turned(one.axes @ np.radians(at.turns_deg))
+                for one, at in zip(sharp, _probes(state), strict=True)
             ]
-            sharp = [one.held_turned(turn) for one, turn in zip(sharp, turns, strict=True)]
-        smooth = [_smooth(one, at) for one, at in zip(sharp, _probes(state), strict=True)]
+        touching = [one for one in path if one.load.terms] if press.friction and path else [state]
+        along = zip(*map(_probes, touching), strict=True)
+        turns = press.friction > 0.0
+        smooth = [_smooth(one, to, turns=turns) for one, to in zip(sharp, along, strict=True)]
         approaches = [_rounded(one, _LEAST_RIM) for one, _, _ in smooth]
         self._rounder = [_rounded(one, _COARSE_RIM) for _, one, _ in smooth]
         for one, made, at in zip(sharp, approaches, _probes(state), strict=True):
@@ -238,7 +243,6 @@ class BodyStrain(FiniteStrain):
         if not path:
             self._controls = [steps[-1:] for steps in self._controls]
         self._like = like
-        touching = self._path if self._rubs else [state]
         self._contacts = [
             (approach, _touched(touching, number)) for number, approach in enumerate(approaches)
         ]
@@ -287,6 +291,7 @@ class BodyStrain(FiniteStrain):
             return found
         held, other = self._held(self._pair), self._held(self._other)
         force = max(_GUIDED * self._held_share(held), self._held_share(other - held))
+        force = max(force, self._shares.across * held[:Z].any())
         stuck = (1.0 - self._state.slip_share) * _STUCK_OVER_CUBE * self.linear_error**3
         return replace(found, force=force, markers=found.markers + stuck)
 
@@ -544,20 +549,29 @@ def _rounded(approach: Approach, share: float) -> Approach:
     return approach if probe.edge_mm >= _LEAST_RIM * half else approach.with_edge(share * half)
 
 
-def _smooth(approach: Approach, state: ContactState) -> tuple[Approach, Approach, float]:
-    """Return a probe whose triangles are smooth around its contact, by the first number of cells
-    that is close to them or the last; that of the first number; and how far the former is off, over
-    the indentation."""
-    middle, size = _place(state)
-    at = approach.axes @ (middle - approach.axis_mm - state.move_mm)
-    deep = state.indentation_mm
+def _smooth(
+    approach: Approach, states: Sequence[ContactState], *, turns: bool
+) -> tuple[Approach, Approach, float]:
+    """Return a probe whose triangles are smooth around its contacts in these states, by the first
+    number of cells that is close to them or the last; that of the first number; and how far the
+    former is off, over the least indentation. ``turns``: whether it turned since first touch."""
+    lows, highs = [], []
+    for state in states:
+        middle, size = _place(state)
+        at = approach.axes @ (middle - approach.axis_mm - state.move_mm)
+        if turns:
+            at = at @ Approach.rotation_of(approach.axes @ np.radians(state.turns_deg))
+        lows.append(at[:Z] - _SEEN * size)
+        highs.append(at[:Z] + _SEEN * size)
+    deep = [state.indentation_mm for state in states]
     fits = []
     for count in _CELLS:
-        fits.append(approach.smoothed(at[:Z], _SEEN * size, _HIGH * deep, count))
-        if fits[-1][1] < _OFF * deep:
+        corners = np.min(lows, axis=0), np.max(highs, axis=0)
+        fits.append(approach.smoothed(*corners, _HIGH * max(deep), count))
+        if fits[-1][1] < _OFF * min(deep):
             break
     (smooth, off_mm), (coarse, _) = fits[-1], fits[0]
-    return smooth, coarse, off_mm / deep
+    return smooth, coarse, off_mm / min(deep)
 
 
 def _too_sharp(approach: Approach, state: ContactState, material: Material) -> str:
@@ -628,16 +642,13 @@ def _unsolved(press: Press, body: Body, material: Material) -> str:
         held = np.array([by_force for by_force, _ in controls])
         turned = np.abs(np.where(held, 0.0, [given for _, given in controls])).max(axis=0)
         if one.friction > 0.0:
-            if any(one.tilt_deg) and not isinstance(one.probe, Sphere):
-                return "press.tilt_deg with friction: upright probes are solved"
             if press.also:
                 return "press.also: several probes are solved without friction"
-            rubs = isinstance(one.probe, Sphere | Cylinder | Pillar)
-            if not rubs or not isinstance(body, Block | Finger):
+            if isinstance(one.probe, Cone) or not isinstance(body, Block | Finger):
                 return (
                     f"press.friction = {one.friction:g} under a {one.probe.kind} on a "
-                    f"{body.geometry()['shape']}: friction is solved under spheres, cylinders and "
-                    "pillars on blocks and fingers"
+                    f"{body.geometry()['shape']}: friction is solved under probes other than cones "
+                    "on blocks and fingers"
                 )
             if not held[:, Z].all():
                 return "press: a probe with friction is solved where a force presses it"
@@ -665,7 +676,7 @@ def _unsolved_state(press: Press, state: ContactState, path: Sequence[ContactSta
     if press.friction > 0.0 and not all(other.load.terms for other in before):
         return "press.steps: a probe with friction is solved until it is lifted"
     slides = press.friction > 0.0 and state.slip_share > _SLIPPING
-    if slides and not isinstance(press.probe, Sphere):
+    if slides and isinstance(press.probe, Cylinder | Pillar):
         return "press.steps: a flat face with friction is solved while a fifth of it sticks"
     if not all(len(one.pressure_mpa) for one in _probes(state)):
         return "press: several probes are solved where all touch"

@@ -463,14 +463,14 @@ class Approach:
         return replace(self, tilt_deg=(x, y, z))
 
     def smoothed(
-        self, middle: Floats, half_mm: float, deep_mm: float, cells: int
+        self, low: Floats, high: Floats, deep_mm: float, cells: int
     ) -> tuple[Approach, float]:
-        """Return a probe whose triangles are smooth around a place (2,) of its own x and y, mm, as
-        `_Smooth` of so many cells, and how far these lie off the triangles where the probe is
-        ``deep_mm`` high at most, infinite where it ends there; another probe as it is."""
+        """Return a probe whose triangles are smooth between two corners (2,) of its own x and y,
+        mm, as `_Smooth` of so many cells, and how far these lie off the triangles where the probe
+        is ``deep_mm`` high at most, infinite where it ends there; another probe as it is."""
         if not isinstance(self.shape, _Triangles):
             return self, 0.0
-        smooth = _Smooth.of(self.shape, middle - half_mm, middle + half_mm, cells, deep_mm)
+        smooth = _Smooth.of(self.shape, low, high, cells, deep_mm)
         return replace(self, smooth=smooth), smooth.off_mm
 
     def check_depth(self, press: Press, body: Body) -> None:

@@ -76,6 +76,10 @@ _ALL_SLIP, _ANCHORED = 0.8, 0.98
 """A probe slides as a whole where points that slip carry more than this share of the force, looked
 for from this share of the force on anchored points."""
 
+_AT_BOUND = 1e-4
+"""How far friction may pass its bound before a point slips, relative: all points of a probe that
+slid and is held lie at it."""
+
 _SLIDES, _SLID_MM, _SLID_MOST_MM = 16, 1e-4, 2e-3
 """How often such a slide is corrected, how well it is known then, and how well at least."""
 
@@ -748,7 +752,7 @@ class RubberContact:
         friction = np.full(len(size), self._friction)
         bound = LAW.bound(friction, scale * pressed, self._area) / scale
         steep = steep * LAW.slope(friction, scale * pressed, self._area)
-        slips = size > bound
+        slips = size > (1.0 + _AT_BOUND) * bound
         way = held / np.maximum(size, 1e-300)[:, None]
         share = np.where(slips, bound / np.maximum(size, 1e-300), 1.0)
         return _Rub(
