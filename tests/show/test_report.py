@@ -459,9 +459,13 @@ def test_ratios_are_in_percent_and_what_round_off_leaves_of_one_is_nothing(full:
     ratios = {"contact_over_probe_radius": 0.5, "largest_strain": 0.02, "contact_residual": 1e-9}
     score = {
         "elastic": {"force_error": 6.7e-16, "indentation_error": 1e-4, **ratios},
-        "force": {"field_error_normal": 0.25, "total_force_error_axes": [0.01, -0.02, 0.3]},
+        "force": {"field_stated": 0.3, "field_error_normal": 0.25, "total_force_error_axes": [0.01, -0.02, 0.3]},
     }
-    shown = page_part(report(replace(full, score=score)), "Errors by stage")
+    facts = {"contact": {"error": {"force": 0.01, "patches": {"force": 0.02, "indentation": 0.03}}}}
+    page = report(replace(full, score=score, facts=facts))
+    said = re.sub("<[^>]*>", "", page_part(page, "Facts"))
+    assert "error (force: 1 %, patches (force: 2 %, indentation: 3 %))" in said
+    shown = page_part(page, "Errors by stage")
     cells = re.findall(r'<td class="figure">(.*?)</td>', shown)
     assert all(cell.endswith("%") or cell.endswith(" %</data>") for cell in cells), "ratios have one unit"
     assert [re.sub("<[^>]*>", "", cell) for cell in cells][-2:] == ["25 %", "(1, −2, 30) %"]

@@ -36,7 +36,7 @@ _UNITS = {**UNITS, "deg": "°", "s": "s", "mm2": "mm²", "mm3": "mm³"}
 
 _SHARES = (
     *("_error", "_error_normal", "_error_tangential", "_error_axes"),
-    *("matched", "share", "ratio", "_strain", "_residual"),
+    *("matched", "share", "ratio", "_strain", "_residual", "_stated"),
     *("_over_probe_radius", "_over_thickness", "over_bound"),
 )
 """Endings of keys that hold a ratio, in percent."""
@@ -376,10 +376,12 @@ def _as_html(key: str, value: Any) -> str:
     if isinstance(value, int | float):
         return f'<data value="{value!r}">{_amount(key, value)}</data>'
     if isinstance(value, Mapping):
-        rows = (
-            f"{escape(_split_unit(str(k))[0])}: {_as_html(str(k), v)}" for k, v in value.items()
-        )
-        return "<br>".join(rows) or "none"
+        kind, between = ("_error", ", ") if key.endswith("error") else ("", "<br>")
+        rows = []
+        for k, v in value.items():
+            name, inside = escape(_split_unit(str(k))[0]), _as_html(f"{k}{kind}", v)
+            rows.append(f"{name} ({inside})" if isinstance(v, Mapping) else f"{name}: {inside}")
+        return between.join(rows) or "none"
     if isinstance(value, list | tuple):
         return _list(key, value) if len(value) else "none"
     return escape(str(value))
