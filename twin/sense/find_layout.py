@@ -245,7 +245,7 @@ def find_layout(rest_image: Picture) -> FoundLayout:
             break
     if not best:
         raise InputError(_refusal(away, noise, most))
-    return _described(picture, away, best)
+    return _described(picture, best)
 
 
 def _contrast(picture: Picture) -> tuple[Singles, float]:
@@ -568,11 +568,11 @@ def _refusal(away: Singles, noise: float, most: int) -> str:
     )
 
 
-def _described(picture: Picture, away: Singles, found: list[_Layer]) -> FoundLayout:
+def _described(picture: Picture, found: list[_Layer]) -> FoundLayout:
     """Return layers with names, ordered sites and sizes."""
     layers: dict[str, FoundLayout.Layer] = {}
     for one in sorted(found, key=len, reverse=True):
-        layer = _layer(picture, away, one)
+        layer = _layer(picture, one)
         name = _colour_name(layer)
         count = sum(key.split("-")[0] == name for key in layers)
         layers[f"{name}-{count + 1}" if count else name] = layer
@@ -580,7 +580,7 @@ def _described(picture: Picture, away: Singles, found: list[_Layer]) -> FoundLay
     return FoundLayout(layers=layers, stray_px=frozen(stray))
 
 
-def _layer(picture: Picture, away: Singles, one: _Layer) -> FoundLayout.Layer:
+def _layer(picture: Picture, one: _Layer) -> FoundLayout.Layer:
     centres, sites = one.spots.centre_px[one.on], one.index[one.on]
     sites, lattice, angle = _oriented(sites, centres)
     order = np.lexsort((sites[:, 1], sites[:, 0]))

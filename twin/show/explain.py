@@ -27,7 +27,8 @@ _FACTORS = ("tracking.over_bound",)
 NEARLY_INCOMPRESSIBLE = 0.45
 """Poisson's ratio from which a layer near the surface hardly moves sideways under a push."""
 
-_ROUND_OFF = 1e-9
+ROUND_OFF = 1e-9
+"""Numbers below this are shown as 0: what a sum of doubles leaves is round-off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +128,7 @@ def _amount(key: str, value: float) -> tuple[str, str]:
     """Return a number in words with its unit, and the unit of the number as it is stored."""
     if key in _COUNTS:
         return f"{value:.0f}", ""
-    if abs(value) < _ROUND_OFF:
+    if abs(value) < ROUND_OFF:
         value = 0.0
     if key in _FACTORS:
         return digits(value), ""

@@ -23,7 +23,7 @@ from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice
 from twin.files import png_bytes
 from twin.parts.part import UNITS
 from twin.results import RunResult, Truth
-from twin.show.explain import LIMITS, WORDS, one_layer
+from twin.show.explain import LIMITS, ROUND_OFF, WORDS, one_layer
 from twin.show.html_page import cleaned, digits, figure, finite, page, table, two_columns
 from twin.show.svg_plots import Axes
 
@@ -40,9 +40,6 @@ _SHARES = (
     *("_over_probe_radius", "_over_thickness", "over_bound"),
 )
 """Endings of keys that hold a ratio, in percent."""
-
-_ROUND_OFF = 1e-12
-"""Ratios below this are shown as 0: what a sum of doubles leaves is round-off."""
 
 
 def report(result: RunResult) -> str:
@@ -359,7 +356,7 @@ def _name_of(key: str) -> tuple[str, str]:
 def _amount(key: str, value: float) -> str:
     """Return a number in the unit of its key: ``1.2 %``, ``0.05 mm``, ``3``."""
     if not isinstance(value, int) and key.endswith(_SHARES):
-        return f"{digits(0.0 if abs(value) < _ROUND_OFF else 100 * value)} %"
+        return f"{digits(0.0 if abs(value) < ROUND_OFF else 100 * value)} %"
     unit = _split_unit(key)[1]
     return digits(value) + (f" {unit}" if unit else "")
 
