@@ -19,7 +19,7 @@ import sys
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -126,10 +126,12 @@ _FILE_ENDINGS = (
 """Endings that no new folder of results gets."""
 
 
-def make_folder(folder: Path) -> None:
+def make_folder(folder: Path, results: Sequence[str] = ()) -> None:
     """Make ``folder``, check that it is writable, and remove partial files of killed writers.
 
-    Where it can't be made or written, or is named like a file, an `InputError` is raised.
+    Where it can't be made or written, or is named like a file, an `InputError` is raised; so it is
+    where it holds any of the ``results`` that will be written, but not the first, by which a
+    folder of such results is known.
     """
     if folder.suffix.lower() in _FILE_ENDINGS and not folder.exists():
         raise InputError(
@@ -147,6 +149,12 @@ def make_folder(folder: Path) -> None:
         raise TwinError.unwritable(folder, problem) from None
     if not os.access(folder, os.W_OK):
         raise InputError(f"{folder}: the output folder can't be written; give another")
+    there = [name for name in results if (folder / name).exists()]
+    if there and results[0] not in there:
+        raise InputError(
+            f"{folder}: holds {', '.join(there)}, which would be replaced, but no {results[0]}, so "
+            "they are of something else; give another --out"
+        )
     for part in folder.glob(".*.part*"):  # a video's ends in its format
         named = re.fullmatch(r".*\.(\d+)\.part(\.\w+)?", part.name)
         if named and not _is_alive(int(named[1])):

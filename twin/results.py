@@ -326,16 +326,6 @@ class RunResult:
         return panels
 
     @staticmethod
-    def refuse_other_files(folder: Path) -> None:
-        """Raise an `InputError` if a run would replace a file that no run has written."""
-        there = [name for name in RESULT_FILES if (folder / name).exists()]
-        if there and MARK not in there:
-            raise InputError(
-                f"--out {folder}: holds {', '.join(there)}, which no run wrote (there is no "
-                f"{MARK}), and which would be replaced; give another folder"
-            )
-
-    @staticmethod
     def on_disk(folder: Path) -> dict[str, Any]:
         """Return the files of a run by name, its score and its seconds by stage (None without)."""
         files = {name: str(folder / name) for name in RESULT_FILES if (folder / name).is_file()}

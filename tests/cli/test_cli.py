@@ -65,7 +65,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         ("run kamiyama_pillar -s press.albedo=0.5", "press.albedo = 0.5: must be a list, such as [1, 1, 1]\n"),
         ("run kamiyama_pillar -s ccd.white_balance=[1,1,0]", "ccd.white_balance.2 = 0: must be greater than 0"),
         ("run kamiyama_pillar -s light.positions_mm=3", "such as [[1, 1, 1], [1, 1, 1]]\n"),
-        ("run kamiyama_pillar --out RECORDING", "RECORDING: holds rest.png, which no run wrote"),
+        ("run kamiyama_pillar --out RECORDING", "RECORDING: holds rest.png, which would be replaced"),
         ("run LINK", "scene 'LINK': is no file to read, but a folder, a device, or a link to nowhere"),
         ("check TABLE.csv", "a scene or a sweep is a text file, NAME.toml"),
         ("run LONGNAME", "there is no such file"),

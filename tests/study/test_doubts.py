@@ -251,7 +251,7 @@ def test_a_run_writes_over_its_own_files_only(tmp_path: Path) -> None:
         run_to_folder(scene, tmp_path, {"displacement"})
     (tmp_path / "timings.json").unlink()
     (tmp_path / "scene.toml").write_text("mine")
-    with pytest.raises(InputError, match=r"holds truth\.npz, scene\.toml, which no run wrote"):
+    with pytest.raises(InputError, match=r"holds truth\.npz, scene\.toml, which would be replaced"):
         run_to_folder(scene, tmp_path, {"displacement"})
     assert (tmp_path / "scene.toml").read_text() == "mine"
 

@@ -38,7 +38,7 @@ from twin.parts.load import Rectangles
 from twin.parts.methods import WANTED
 from twin.parts.press import Cylinder, Press, Sphere
 from twin.parts.scene import Scene
-from twin.results import Estimate, RunResult, Truth
+from twin.results import MARK, RESULT_FILES, Estimate, RunResult, Truth
 from twin.study.doubts import View, doubts
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
@@ -143,8 +143,7 @@ def run_to_folder(
     """
     wanted = frozenset(want)
     sensor, needed = _checked(scene, wanted, wanted != frozenset(WANTED), progress)
-    make_folder(folder)
-    RunResult.refuse_other_files(folder)
+    make_folder(folder, (MARK, *RESULT_FILES))
     with COMPILING.compiled_ahead("twin.sense.compile_ahead" if "tracking" in needed else ""):
         result = _computed(sensor, needed, keep_last=True)
     page = ""

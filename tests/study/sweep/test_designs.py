@@ -99,11 +99,15 @@ def test_an_axis_without_numbers_is_refused_by_its_key(values: str, said: str, t
         load_sweep(tmp_path / "sweep.toml")
 
 
-def test_only_the_full_chain_judges_a_single_layer_by_default(tmp_path: Path) -> None:
+def test_a_single_layer_is_judged_by_the_full_chain_in_a_folder_of_its_own(tmp_path: Path) -> None:
     path = tmp_path / "pad.toml"
     path.write_text('scene = "gelpad_press"\n[axes]\n"markers.dots.depth_mm" = [0.5]\n')
     sweep, scene = load_sweep(path)
     assert sweep.ladder == ("full",)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "report.html").write_text("of a run")
+    with pytest.raises(InputError, match=r"holds report\.html, which would be replaced"):
+        run_sweep(sweep, scene, tmp_path / "run")
     with pytest.raises(RecipeError, match="--optimise searches by the closed form or linear information"):
         run_sweep(sweep, scene, tmp_path / "out", optimise=True)
     assert load_sweep(path, {"reconstruction.method": "smooth"})[0].ladder == ("closed", "linear")

@@ -29,7 +29,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Progress
 from twin.errors import RecipeError
-from twin.files import Fact, fact, write_whole
+from twin.files import Fact, fact, make_folder, write_whole
 from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import FIDELITIES, METRICS, Sweep
 from twin.study.batch.pool import Pool, counted, only_writer
@@ -59,6 +59,9 @@ COMPARED = (
     ("linear", "full", "total_force_error"),
     ("linear", "full", "dip"),
 )
+
+WRITTEN = ("designs.parquet", "designs.csv", "report.html", "best")
+"""Results of a sweep, the first one first."""
 
 NEAR = 1.1
 """A two-point distance up to this times the grid's own is the grid's."""
@@ -215,6 +218,7 @@ def run_sweep(
     designs = Designs.of(sweep, scene)
     if scheduler is not None:
         scheduler.reach()
+    make_folder(folder, WRITTEN)
     with only_writer(folder, folder / "writer.lock"):
         rows = Rows(sweep, scene, folder, workers=workers, scheduler=scheduler, progress=progress)
         if optimise:
