@@ -86,6 +86,19 @@ def test_what_was_damaged_later_is_made_again_and_never_taken_for_whole(made: Pa
     assert make(made).made == 0
 
 
+def test_a_check_names_the_first_files_of_each_problem_and_counts_the_others(made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "d"
+    shutil.copytree(made, folder)
+    flip_a_bit(folder / "data" / "part-00001.parquet")
+    for number in range(5):
+        (folder / "data" / f"stray-{number}.parquet").write_bytes(b"")
+    with pytest.raises(RecipeError) as told:
+        check_path(str(folder))
+    strays = [f"data/stray-{number}.parquet: not in SHA256SUMS" for number in range(3)]
+    changed = "data/part-00001.parquet: changed since it was written (its checksum differs)"
+    assert told.value.problems == [*strays, "2 more: not in SHA256SUMS", changed]
+
+
 @pytest.mark.parametrize("kind", ["data", "sensors"])
 def test_what_was_damaged_before_the_end_is_made_again_too(kind: str, made: Path, tmp_path: Path) -> None:
     """A run that ends early leaves shards without SHA256SUMS; one changed bit leaves Parquet files that open."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,9 @@ def audit(
     return figures
 
 
-ROWS = 50
+ROWS, LISTED = 50, 3
+"""Rows that are read, evenly over the dataset, and files or rows that are named of each problem."""
+
 BALANCE_N = 1e-6
 PROJECTION_PX = 1e-6
 
@@ -75,6 +77,7 @@ def check_dataset(folder: Path) -> list[Fact]:
     # Some rows, evenly over the dataset: finite numbers, balance of forces, projection.
     rows = np.unique(np.linspace(0, len(reader) - 1, min(ROWS, len(reader))).astype(int))
     failed = 0
+    infinite: dict[str, list[str]] = {}
     balances: list[float] = []
     misses: list[float] = []
     for row in rows:
@@ -82,9 +85,11 @@ def check_dataset(folder: Path) -> list[Fact]:
         if sample["status"] != "ok":
             failed += 1
             continue
-        problems += _finite(sample, int(row))
+        for name in _not_finite(sample):
+            infinite.setdefault(f"{name} is not finite", []).append(f"row {row}")
         balances += _imbalances(sample)
         misses += _misprojections(sample, reader)
+    problems = _listed(infinite)
     if (balance := max(balances, default=0.0)) > BALANCE_N:
         problems.append(
             f"forces: patches or sites sum to {balance:.2g} N away from force_n (allowed "
@@ -111,12 +116,25 @@ def check_dataset(folder: Path) -> list[Fact]:
 
 def _checksums(places: Places) -> list[str]:
     wanted, found = places.listed(places.sums), places.sums_of_files()
-    problems = [f"{name}: missing" for name in sorted(set(wanted) - set(found))]
-    problems += [f"{name}: not in SHA256SUMS" for name in sorted(set(found) - set(wanted))]
     changed = [name for name in sorted(set(found) & set(wanted)) if found[name] != wanted[name]]
-    return problems + [
-        f"{name}: changed since it was written (its checksum differs)" for name in changed
-    ]
+    return _listed(
+        {
+            "missing": sorted(set(wanted) - set(found)),
+            "not in SHA256SUMS": sorted(set(found) - set(wanted)),
+            "changed since it was written (its checksum differs)": changed,
+        }
+    )
+
+
+def _listed(places: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return a line on each of the first places of every problem, and one on how many more there
+    are."""
+    lines = []
+    for problem, where in places.items():
+        lines += [f"{place}: {problem}" for place in where[:LISTED]]
+        if (more := len(where) - LISTED) > 0:
+            lines.append(f"{more} more: {problem}")
+    return lines
 
 
 def _schema(reader: DatasetReader, info: dict[str, object]) -> list[str]:
@@ -124,7 +142,7 @@ def _schema(reader: DatasetReader, info: dict[str, object]) -> list[str]:
 
     from twin.study.dataset.columns import Column
 
-    problems = []
+    problems: dict[str, list[str]] = {}
     columns = info["columns"]
     wanted = {
         each["name"]: Column.arrow_type(each["kind"])
@@ -133,26 +151,28 @@ def _schema(reader: DatasetReader, info: dict[str, object]) -> list[str]:
     for file in sorted(reader.places.data.glob("part-*.parquet")):
         with DatasetReader.readable(file):
             found = pq.read_schema(file)
-        if found.names != list(wanted):
-            problems.append(f"{file.name}: has other columns than in info.json")
-        problems += [
-            f"{file.name}: {field.name} is {field.type}, not {wanted[field.name]}"
+        wrong = [
+            f"{field.name} is {field.type}, not {wanted[field.name]}"
             for field in found
             if field.name in wanted and field.type != wanted[field.name]
         ]
+        if found.names != list(wanted):
+            wrong.append("has other columns than in info.json")
+        for problem in wrong:
+            problems.setdefault(problem, []).append(file.name)
     if problems:
-        return problems
+        return _listed(problems)
     index = set(reader.table(["index"])["index"].to_pylist())
     samples = int(info["samples"])  # type: ignore[call-overload]
     if len(index) != samples or (index and not (min(index) == 0 and max(index) == samples - 1)):
-        problems.append(f"index: does not run from 0 to {info['samples']}")
-    return problems
+        return [f"index: does not run from 0 to {info['samples']}"]
+    return []
 
 
-def _finite(sample: dict[str, object], row: int) -> list[str]:
+def _not_finite(sample: dict[str, object]) -> list[str]:
     may_be_nan = ("marker_outline_pressed_px",)
     return [
-        f"row {row}: {name} is not finite"
+        name
         for name, value in sample.items()
         if isinstance(value, np.ndarray | float)
         and name not in may_be_nan
