@@ -85,6 +85,18 @@ def test_bounds_that_hold_in_truth_lower_the_field_error():
         assert again.force_n == pytest.approx(cone.force_n, rel=0.1, abs=0.02)
 
 
+def test_totals_do_not_state_what_a_wrong_coefficient_of_friction_makes_of_the_sites():
+    """A load that needs 0.6: held to 0.3 its sites push too much, which the motion contradicts."""
+    markers, seen, calibration = FLAT
+    points, forces = disk((0, 0), 5.0, (1.2, 0, 2.0))
+    found = as_found(shifts(markers, seen, points, forces), calibration, 0.05, 1)
+    plain = reconstruct(found, calibration)
+    wrong = reconstruct(found, calibration, friction=0.3)
+    assert wrong.force_n[:, 2].sum() > 3.5
+    assert wrong.total_force_n[2] == pytest.approx(2.0, abs=0.1)
+    assert (wrong.sd_total_n < 3 * plain.sd_total_n).all()
+
+
 def test_pushes_are_meant_along_the_inward_normal():
     """The sites' frames are turned by 30 degrees: forces along the turned normals are pushes, others aren't."""
     _, _, calibration = FINGER

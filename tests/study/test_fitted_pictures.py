@@ -99,6 +99,17 @@ def rest_px(actual):
     return project(actual.markers.points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
 
 
+def test_another_poissons_ratio_is_solved_for_at_every_other_site():
+    sites, twin = SCENE.inverse.sites, design()
+    squares = Rectangles.on_surface(SCENE.body, sites.chart(), 0.3, "sites")
+    scaled = np.where(np.array(twin.names) == "poisson_ratio", 0.5, 0.0)
+    markers = Sensor(SCENE).nominal_markers.points
+    drawn = twin.compliance(0 * scaled, markers, squares)
+    there = twin.compliance(scaled, markers, squares)
+    between = twin.compliance(scaled, markers, squares, (sites.columns, sites.rows))
+    assert np.linalg.norm(between - there) < 0.1 * np.linalg.norm(there - drawn)
+
+
 def test_markers_stand_where_they_are_seen():
     """With the made sensor's own camera and depths the print errors come out exactly, NaN markers as drawn."""
     actual, twin = Sensor(SCENE).actual, design()

@@ -182,6 +182,10 @@ class Problem:
         shift = np.where(self.used[:, None], shift_px, 0.0)[self.known]
         return np.asarray(shift.ravel() / np.repeat(self.noise_px, 2))
 
+    def shifts_of(self, force_n: Floats) -> Floats:
+        """Return (m,) whitened data that (k, 3) forces make, by the linear map."""
+        return np.asarray(self.base.transfer @ force_n.ravel()) / self.size_px
+
     def constrained(
         self, data: Floats, weight: float, friction: float | None, start: Floats | None
     ) -> tuple[Floats, float]:

@@ -58,6 +58,14 @@ Residuals beyond it are the model's error, and what they make of totals is found
 on a dome they are 10 to 13 times the noise, but those of markers that tell the totals are not. A
 weight that is given may be too large, so that all of the residual is taken for noise there."""
 
+BY_BOUNDS = 3.0
+"""Squared misfit by which bounded forces exceed the linear ones, in variances of the noise over the
+numbers that these fit to it, up to which the bounds may hold: forces that obey them leave what the
+linear ones fit of the noise. It is 0.4 to 3.1 where bounds hold (39 presses of two gel pads; 1.1 to
+1.7 on rubber of Poisson's ratio 0, where only they show how much is pushed), 110 to 440 of loads
+sideways by 0.8 of the push with a coefficient of 0.5. Beyond it the totals' way to the bounded ones
+counts by the inverse ratio."""
+
 DECADE = 0.1
 """Under constraints an automatic weight is rounded to this in its logarithm, so that what was
 solved serves again."""
@@ -89,7 +97,8 @@ class Field(Table):
         places leave nothing), and by `Found.gain_error` and `Found.drift_px`. By ``local`` also by
         where forces are expected, and by the misfit of markers next to them
         (`Factors.misfit_variance`), as where residuals are far above the noise; under bounds also
-        by how far the bounded forces' totals lie from these.
+        by how far the bounded forces' totals lie from these, unless the motion contradicts the
+        bounds (`BY_BOUNDS`).
     used
         (n,) which markers took part.
     wrong
@@ -258,7 +267,8 @@ def reconstruct(
             at = float(10.0 ** (DECADE * np.round(np.log10(at) / DECADE)))
         start = None if previous is None else previous.force_n
         force, kkt = _held(linear, at, friction, camera, start)
-        sd_total = np.hypot(sd_total, rows @ force.ravel() - totals)
+        believed = linear.belief_in(force, camera)
+        sd_total = np.hypot(sd_total, believed * (rows @ force.ravel() - totals))
     everywhere = np.zeros(len(problem.used), np.bool_)
     everywhere[problem.known] = linear.wrong
     field = Field(
@@ -401,7 +411,7 @@ def _held(
             break
         start, before = force, data
         bend = _bend_of(problem, force) if camera else bend
-        seen = np.asarray(problem.base.transfer @ force.ravel()) / problem.size_px
+        seen = problem.shifts_of(force)
         data = problem.factors.towards(linear.whole - linear.off - bend, seen)
         if np.abs(data - before).max() < SETTLED:
             break
@@ -485,6 +495,22 @@ class _Linear:
     def scale(self) -> float:
         """Noise as the fit has it, over the stated one."""
         return self.problem.factors.noise_scale(self.data, self.weight)
+
+    def belief_in(self, bounded: Floats, camera: bool) -> float:
+        """Return the share of the totals' way to those of (k, 3) ``bounded`` forces, N, by which
+        totals may be off: 1 where these explain the motion as well as forces can that obey the
+        bounds."""
+        problem, factors = self.problem, self.problem.factors
+        bend = _bend_of(problem, bounded) if camera else self.bend
+        fields = ((bounded, bend), (self.force_n, self.bend))
+        worse, usual = (
+            float(factors.share @ (self.whole - self.off - bend - problem.shifts_of(force)) ** 2)
+            for force, bend in fields
+        )
+        fitted = len(self.whole) * (1.0 - factors.freedom(self.weight))
+        expected = BY_BOUNDS * fitted * self.scale**2
+        more = worse - usual
+        return 1.0 if more <= expected else expected / more
 
     @property
     def totals_left_open(self) -> Floats:
