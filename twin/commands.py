@@ -903,6 +903,7 @@ def reproduce(
     out: Path = Path("reproduce"),
     quick: bool = False,
     seed: Whole = 1,
+    renderer: Literal["auto", "splat", "mitsuba", "path"] = "auto",
 ) -> _Output:
     """Reproduce the papers' tables and figures, with the papers' figures for comparison.
 
@@ -922,16 +923,19 @@ def reproduce(
         One made sensor, fewer steps, no long entries.
     seed
         Root seed of sensors and noise.
+    renderer
+        What draws the pictures; path takes seconds for each.
 
     Examples:
     twin reproduce all
     twin reproduce kamiyama/table-1 sato --out here
+    twin reproduce kamiyama/table-1 --quick --renderer path --out by_paths
     """
     from twin.study.reproduce.reproduction_run import reproduce as run
 
     if not 0 <= seed < 2**63 - 100:
         raise InputError(f"--seed {seed}: allowed are whole numbers from 0 to 2^63 - 101")
-    done = run(names, out, seed=seed, quick=quick, progress=_progress())
+    done = run(names, out, seed=seed, quick=quick, renderer=renderer, progress=_progress())
     yield from done.lines
     if done.failed:
         raise SomeFailed(

@@ -124,7 +124,8 @@ def test_a_range_is_run_over_some_trials() -> None:
 
 
 def test_a_shift_is_what_it_says_in_the_picture() -> None:
-    rig = Bench().rig("kamiyama")
+    rig = Bench(renderer="splat").rig("kamiyama")
+    assert rig.scene.renderer == "splat"
     points = rig.sensor.actual.markers.points
     moved = rig.sensor.project(points + rig.shifted((3.0, -1.0)).displacement_mm) - rig.sensor.project(points)
     np.testing.assert_allclose(moved, np.tile([3.0, -1.0], (len(points), 1)), atol=1e-6)
@@ -218,6 +219,9 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
     assert len(runs) == 1
     reproduce(FAST, tmp_path, seed=2)
     assert len(runs) == 2
+    reproduce(FAST, tmp_path, seed=2, renderer="path")
+    assert len(runs) == 3
+    assert "renderer path" in (tmp_path / "index.html").read_text()
 
 
 ASKED = {

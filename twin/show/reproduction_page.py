@@ -51,6 +51,7 @@ def reproduction(
     *,
     seed: int,
     quick: bool,
+    renderer: str = "auto",
 ) -> str:
     """Return the page as one self-contained HTML file.
 
@@ -89,7 +90,7 @@ def reproduction(
     form = "quick form: one made sensor, fewer steps" if quick else "full form"
     verdict = (
         "Every number went through contact, picture, CCD, tracking and inverse of a made sensor "
-        f"that differs from its drawing. Seed {seed}, {form}."
+        f"that differs from its drawing. Seed {seed}, {form}, renderer {renderer}."
     )
     alarms = [f"{name} could not be finished: {reason}" for name, reason in failed.items()]
     title = "The papers' tables and figures, made again"

@@ -305,13 +305,19 @@ def _image_scale(scene: Scene, points: Floats) -> Floats:
 
 class Bench:
     """All rigs of a reproduction. A paper's made sensors have ``seed`` and the following ones;
-    ``quick`` is one made sensor a paper, and less of everything."""
+    ``quick`` is one made sensor a paper, and less of everything. ``renderer`` is that of scenes."""
 
     def __init__(
-        self, *, seed: int = 1, quick: bool = False, progress: Progress | None = None
+        self,
+        *,
+        seed: int = 1,
+        quick: bool = False,
+        renderer: str = "auto",
+        progress: Progress | None = None,
     ) -> None:
         self.seed = seed
         self.quick = quick
+        self.renderer = renderer
         self.used: set[str] = set()
         self._progress = progress
         self._share = (0.0, 1.0)
@@ -445,7 +451,8 @@ class Bench:
         self, paper: str, seed: int | None = None, overrides: Mapping[str, Any] | None = None
     ) -> Rig:
         """Return a made sensor: the paper's own, or a variant of it."""
-        given = {"seed": self.seed if seed is None else seed, **(overrides or {})}
+        own = {"seed": self.seed if seed is None else seed, "renderer": self.renderer}
+        given = {**own, **(overrides or {})}
         if self._tabled(paper, given):
             given[TABLE] = True
         scene = load_scene(SCENES[paper], given)

@@ -1,8 +1,9 @@
 """Run the papers' entries into a folder: one file an entry, the list of all records, and the page.
 
 Resuming: an entry's file carries a key, the hash of this package's source, the paper's resolved
-scene, the seed and the form (quick or full). An entry whose file has the right key is skipped, so
-an interrupted reproduction continues. A change of any source file runs everything again.
+scene, the seed, the form (quick or full) and the renderer. An entry whose file has the right key
+is skipped, so an interrupted reproduction continues. A change of any source file runs everything
+again.
 
 One thread: sums in another order change last digits, and one seed must give one file whatever the
 number of cores. On busy cores a second thread also cost several times the work (Fig. 10: 41 s of
@@ -97,6 +98,7 @@ def reproduce(
     *,
     seed: int = 1,
     quick: bool = False,
+    renderer: str = "auto",
     progress: Progress | None = None,
 ) -> _Reproduced:
     """Run the papers' experiments and write ``index.html``, ``results.json`` and an SVG for each;
@@ -112,7 +114,7 @@ def reproduce(
     wanted = _chosen(names, quick)
     make_folder(out)
     make_folder(out / "entries")
-    bench = Bench(seed=seed, quick=quick, progress=progress)
+    bench = Bench(seed=seed, quick=quick, renderer=renderer, progress=progress)
     with one_thread():
         failed = _run_all(out, wanted, bench)
     _publish(out, bench, failed)
@@ -163,6 +165,7 @@ def _run(out: Path, entry: Entry, bench: Bench) -> None:
         "title": entry.title,
         "source": entry.source,
         "protocol": protocol,
+        "renderer": bench.renderer,
         "notes": [*entry.notes, *outcome.notes, *([bench.validity] if bench.validity else [])],
         "seconds": round(time.perf_counter() - started, 2),
         "cpu_seconds": round(time.process_time() - worked, 2),
@@ -195,7 +198,8 @@ def _kept(out: Path, entry: Entry, bench: Bench) -> Table | None:
 
 
 def _key(entry: Entry, bench: Bench) -> str:
-    facts = [_source_hash(), entry.name, _scenes_hash(), bench.seed, bench.quick]
+    form = [bench.seed, bench.quick, bench.renderer]
+    facts = [_source_hash(), entry.name, _scenes_hash(), *form]
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
@@ -250,6 +254,7 @@ def _publish(out: Path, bench: Bench, failed: dict[str, str]) -> None:
         unprinted,
         seed=bench.seed,
         quick=bench.quick,
+        renderer=bench.renderer,
     )
     write_whole(out / "index.html", page.encode())
 
