@@ -22,9 +22,9 @@ The kernels work in the frame of the load and return everything divided by c, pe
 1 - 2 nu; -nu/pi n . f with n_j = x_j / r^3 is lambda div u, which stays finite at nu = 1/2.
 
 Validity: small strain, linear isotropic rubber, sides of 1e-30 to 1e30 mm, points on or below every
-rectangle's plane, or over it beside the rectangle, where the same formulas go on. Infinite values
-on a rectangle's edges at the surface are given as finite. On the 40 mm block these formulas alone
-are 9 to 17 % wrong: `twin.world.elasticity.compliance` adds the rest.
+rectangle's plane, or over it beside the rectangle and just over itself (a hollow face), where the
+same formulas go on. Infinite values on a rectangle's edges at the surface are finite. On the 40 mm
+block these formulas alone are 9 to 17 % wrong: `twin.world.elasticity.compliance` adds the rest.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def displacement(
     Parameters
     ----------
     points
-        (n, 3) points, mm, not above a rectangle.
+        (n, 3) points, mm, not above a rectangle but where its face is hollow.
     load
         k rectangles and their forces, N, along the axes of the body; z leads into it.
     youngs_modulus_mpa, poisson_ratio
@@ -94,7 +94,7 @@ def compliance(
     Parameters
     ----------
     points
-        (n, 3) points, mm, not above a rectangle.
+        (n, 3) points, mm, not above a rectangle but where its face is hollow.
     rectangles
         k rectangles; their forces don't count.
     youngs_modulus_mpa, poisson_ratio
@@ -331,12 +331,10 @@ def rectangle_terms(
     x: float, y: float, z: float, a: float, b: float, k: float, u: Floats, n: Floats
 ) -> None:
     """Set u (3, 3) and n (3,) to the mean over -a..a by -b..b; a = b = 0 is a point force."""
-    if abs(x) <= a and abs(y) <= b:
-        z = max(z, 0.0)  # a hair's breadth above the rectangle counts as on it
     distance = x * x + y * y + z * z
     size = a * a + b * b
     if size == 0.0:
-        if distance == 0.0:
+        if x == y == 0.0 and z <= 0.0:
             raise ZeroDivisionError("a point force moves its own place infinitely far")
         _point_terms(x, y, z, a, b, k, _ONE, u, n)
     elif distance > _FAR_2 * _FAR_2 * size:
@@ -357,8 +355,6 @@ def rectangle_slopes(
         for j in range(3):
             for m in range(3):
                 d[i, j, m] = 0.0
-    if abs(x) <= a and abs(y) <= b:
-        z = max(z, 0.0)  # a hair's breadth above the rectangle counts as on it
     distance = x * x + y * y + z * z
     size = a * a + b * b
     if size > 0.0 and distance <= _FAR_3 * _FAR_3 * size:
@@ -531,7 +527,7 @@ def _solid_angle(
     the rectangle.
 
     It is the argument of a product of four complex numbers, up to a turn: more than pi is seen from
-    above the rectangle only. It has the sign of z.
+    above the rectangle only. Past its edges it has the sign of z; through them it goes on growing.
     """
     if z != 0.0:
         a = x1 * z * (y1 * r12 - y2 * r11)
@@ -539,7 +535,9 @@ def _solid_angle(
         c = x2 * z * (y2 * r21 - y1 * r22)
         d = z * z * r21 * r22 + x2 * x2 * y1 * y2
         angle = math.atan2(a * d + b * c, b * d - a * c)
-        return angle + 2.0 * math.pi if angle < 0.0 and x1 > 0.0 > x2 and y1 > 0.0 > y2 else angle
+        if x1 > 0.0 > x2 and y1 > 0.0 > y2:
+            angle += 2.0 * math.pi * ((angle < 0.0) + (z < 0.0))
+        return angle
     # the limit z -> 0 of atan(x y / (z r)) is a quarter turn of the sign of x y
     one, two = math.atan2(x1 * y1, 0.0), math.atan2(x1 * y2, 0.0)
     return one - two - math.atan2(x2 * y1, 0.0) + math.atan2(x2 * y2, 0.0)
