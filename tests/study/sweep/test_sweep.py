@@ -182,6 +182,9 @@ def test_what_is_over_its_target_counts_ten_times_what_is_under_it(tmp_path: Pat
     assert done.order.tolist() == np.argsort(done.score).tolist()
     dropped = run_sweep(*small(fidelity=["closed"], axes={"markers.*.diameter_mm": [1.6, 0.5]}, derived={}), tmp_path)
     assert (dropped.score[0], dropped.order.tolist()) == (np.inf, [1])
+    del dropped.columns["closed_total_force_error"]  # as in the full chain, which has no two_point_mm
+    (verdict, *_), _ = write_report(dropped, tmp_path)
+    assert "Not judged at this fidelity: force error (asked: 5 %)." in verdict
 
 
 def test_fronts_and_the_agreement_of_fidelities() -> None:

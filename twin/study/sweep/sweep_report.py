@@ -125,10 +125,12 @@ EXPLAINED = ("two_point_mm", "fwhm_mm", "resolution_gf")
 def _sensitivities(done: Swept) -> list[tuple[str, str, float, float, float]]:
     """Return by metric and axis the first and total Sobol' index of log(metric) by the closed form,
     where dropped designs take the mean, and the rank correlation over the designs; NaN for
-    texts."""
+    texts. Nothing where only pictures judged."""
     from scipy.stats import sobol_indices, uniform
 
     sweep, scene = done.designs.sweep, done.designs.scene
+    if sweep.ladder == ("full",):
+        return []
     axes = list(sweep.axes)
 
     def metrics(u: Floats) -> Floats:
@@ -231,7 +233,8 @@ def write_report(done: Swept, folder: Path) -> tuple[list[str], list[dict[str, A
 
 
 def _verdict(done: Swept) -> str:
-    """Return what to make, what it reaches, and which targets no design meets."""
+    """Return what to make, what it reaches, and which targets no design meets, or none was judged
+    by."""
     if not len(done.order):
         ((reason, _),) = Counter(map(str, done.error)).most_common(1)
         return f"None of {len(done.designs)} designs is possible: {reason}"
@@ -242,10 +245,11 @@ def _verdict(done: Swept) -> str:
         " ".join([name.partition(" (")[0], _short(value), name.partition(" (")[2].rstrip(")")])
         for name, value in zip(map(_axis_name, values), values.values(), strict=True)
     ]
-    reached, missed = [], []
+    reached, missed, unjudged = [], [], []
     for name, target in done.designs.sweep.targets.items():
         found = done.metric(name)
         if found is None or not np.isfinite(found[best]):
+            unjudged.append(_as_asked(name, None, target))
             continue
         reached.append(_as_asked(name, float(found[best]), target))
         if found[best] > target:
@@ -255,20 +259,21 @@ def _verdict(done: Swept) -> str:
     guessed = inverse is not None and inverse.method == "local" and done.fidelity[best] == "linear"
     text = f"Confirm design {best} by pictures" if guessed else f"Make design {best}"
     text += f": {', '.join(map(str.strip, made))}. "
-    text += f"It reaches: {'; '.join(reached)}."
+    text += f"It reaches: {'; '.join(reached) or 'no target that was judged'}."
+    if unjudged:
+        text += f" Not judged at this fidelity: {'; '.join(unjudged)}."
     if never := [words for words in missed if words]:
         text += f" No design meets all targets; the least of all designs: {'; '.join(never)}."
     return text
 
 
-def _as_asked(name: str, value: float, target: float) -> str:
-    """Return a metric and its target in words."""
+def _as_asked(name: str, value: float | None, target: float) -> str:
+    """Return a metric, with its value if it has one, and its target in words."""
     head = FIGURES[name][0] if name in FIGURES else _named(name)
     scale = _scale(head)
     head, _, unit = head.rstrip(")").partition(" (")
-    return f"{head} {scale * value:.3g} {unit} (asked: {scale * target:g} {unit})".replace(
-        " )", ")"
-    )
+    reached = "" if value is None else f"{scale * value:.3g} {unit} "
+    return f"{head} {reached}(asked: {scale * target:g} {unit})".replace(" )", ")")
 
 
 def _scale(head: str) -> int:
