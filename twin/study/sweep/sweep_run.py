@@ -275,13 +275,10 @@ def _sweep_designs(designs: Designs, rows: Rows) -> Swept:
     coarse, done.warnings, enough = _coarse(done)
     inverse = done.designs.scene.reconstruction
     if inverse is not None and inverse.method == "local" and (done.fidelity == "linear").any():
-        remedy = f"set full = {count} under [confirm]"
-        if "full" not in sweep.fidelity:
-            remedy = f'add "full" to fidelity, and {remedy}'
         error = "differ" if len(done.designs.scene.markers) > 1 else "are far too large"
         done.warnings.append(
             "the linear fidelity takes method smooth for local, which is not linear: its force "
-            f"errors {error}; {remedy}"
+            f"errors {error}; leave fidelity out, and pictures judge every design"
         )
     if (done.fidelity == "full").any():
         done.warnings += done.designs.scene.imaging[1].turns()
