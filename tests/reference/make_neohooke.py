@@ -1,6 +1,6 @@
 """Makes the files of neo-Hookean presses: what linear theory leaves out of them, by NGSolve, by nothing of twin.
 
-    python tests/reference/make_neohooke.py slab     # or dome, finger, stuck, twisted; needs ngsolve; minutes
+    python tests/reference/make_neohooke.py slab   # or dome, finger, tilted, stuck, twisted; needs ngsolve; minutes
 
 solves the presses that a file holds once more, at its places, once by linear theory, gap and pressure along the
 undeformed normals, and once at finite strain, the rigid probe against the deformed surface; E = 1 MPa, held below. A
@@ -19,6 +19,9 @@ penalty keeps the two apart. Displacements (also stuck, twisted: forces, torques
   stiff.
 * finger: half of it (y = 0 a plane of symmetry) under a sphere along z at the apex, without friction; order 2 and 1,
   the penalty raised in steps to 1000 MPa/mm. The stored rows are of a solver that found the depth apart.
+* tilted: half of a block of 24 x 24 x 10 mm under a cylinder with a round rim that is tilted about y, without friction
+  or sticking, as on the slab; the middle of its face stays at x = 0. Elements and penalty are the finger's. Stored of
+  one that sticks: the force along x.
 * stuck: half of a round slab of 28 mm radius under a 6 mm sphere that is moved into it and then along x, and sticks:
   a point that has come to touch is held from then on, in the plane of the sphere's surface there, by a spring to its
   place on the sphere; so is the gap, by 500 MPa/mm. Order 2 and 1. The linear displacements are under about the same
@@ -152,9 +155,10 @@ class Held:
         on[:] = touches > 0.5
 
 
-def half_mesh(body, names, places, fine, near, **settings):
+def half_mesh(body, names, places, fine, near, at=0.0, **settings):
     """Return the mesh of half a body (y = 0 a plane of symmetry), elements as small as ``fine`` within ``near`` of
-    the places (r, z); ``names`` are tests of faces' lowest and highest corners by name, the first that holds counts."""
+    the places (r, z) around x = ``at``; ``names`` are tests of faces' lowest and highest corners by name, the first
+    that holds counts."""
     names = {"mirror": lambda low, high: max(abs(low.y), abs(high.y)) < 1e-3, **names, "side": lambda *_: True}
     for face in body.faces:
         face.name = next(name for name, holds in names.items() if holds(*face.bounding_box))
@@ -162,11 +166,11 @@ def half_mesh(body, names, places, fine, near, **settings):
     for r, z, depth in places:
         for angle in np.linspace(0.0, math.pi, 9):
             size = fine * max(1.0, math.hypot(r, z) / near)
-            wanted.RestrictH(r * math.cos(angle), r * math.sin(angle), z + depth, size)
+            wanted.RestrictH(at + r * math.cos(angle), r * math.sin(angle), z + depth, size)
     return ng.Mesh(OCCGeometry(body).GenerateMesh(wanted))
 
 
-def newton(form, state, tolerance=1e-9):
+def newton(form, state, tolerance=1e-9, inverse="umfpack"):
     """Take Newton's steps from a state to where no more force than ``tolerance`` is left."""
     free = np.array([bool(one) for one in state.space.FreeDofs()])
     right, step, old = (state.vec.CreateVector() for _ in range(3))
@@ -179,7 +183,7 @@ def newton(form, state, tolerance=1e-9):
     for _ in range(200):
         form.AssembleLinearization(state.vec)
         left()
-        step.data = form.mat.Inverse(state.space.FreeDofs(), inverse="umfpack") * right
+        step.data = form.mat.Inverse(state.space.FreeDofs(), inverse=inverse) * right
         old.data, share = state.vec, 1.0
         for _ in range(12):
             state.vec.data = old - share * step
@@ -336,45 +340,123 @@ def pair(case, order, mesh):
     return straight.found(), bent.found()
 
 
-class FingerPress:
-    """A sphere's press at the apex of half the finger, by linear theory or not; its depth is an unknown."""
+def from_cylinder(case, own):
+    """Return how far places of its own axes are outside a rounded cylinder, and its normal there."""
+    edge, out = case["edge_mm"], ng.sqrt(own[0] * own[0] + own[1] * own[1] + 1e-20)
+    over, below = out - (case["diameter_mm"] / 2.0 - edge), own[2] + edge
+    far, deep = ng.IfPos(over, over, 0.0), ng.IfPos(below, below, 0.0)
+    size, most = ng.sqrt(far * far + deep * deep + 1e-20), ng.IfPos(over - below, over, below)
+    normal = ng.CF((far * own[0] / out, far * own[1] / out, deep)) / size
+    return ng.IfPos(most, size, most) - edge, normal
+
+
+class HalfPress:
+    """A press on half a body, by linear theory or not; the probe's depth is an unknown."""
 
     def __init__(self, case, mesh, order, linear):
-        self.case, self.mesh = case, mesh
+        self.case, self.mesh, self.linear, self.tilted = case, mesh, linear, "tilt_deg" in case
         moves = ng.VectorH1(mesh, order=order, dirichlet="held", dirichlety="held|mirror")
         space = moves * ng.H1(mesh, order=order - 1) * ng.NumberSpace(mesh)
-        self.state, self.penalty = ng.GridFunction(space), ng.Parameter(0.0)
+        self.state, self.penalty, self.force = ng.GridFunction(space), ng.Parameter(0.0), ng.Parameter(case["force_n"])
+        self.held, self.place = Held(mesh, 10), ng.CF((ng.x, ng.y, ng.z))
         (u, p, d), (v, _, e) = space.TnT()
-        form, grad, ball = ng.BilinearForm(space), ng.Grad(u), case["diameter_mm"] / 2.0
-        touched, place = ng.ds("touched", bonus_intorder=12), ng.CF((ng.x, ng.y, ng.z))
-        own = place - ng.CF((0.0, 0.0, d - ball))
+        form, grad = ng.BilinearForm(space, symmetric=True), ng.Grad(u)
         if linear:
-            density = linear_density(grad, p)
-            core = ng.CF((ng.IfPos(ng.x, 0.0, ng.x), 0.0, FINGER_MM[0]))
-            inward = (core - place) / ng.Norm(core - place)
-            ahead = own * inward
-            root = ahead * ahead - own * own + ball**2
-            gap = ng.IfPos(root - 1e-3, ahead - ng.sqrt(ng.IfPos(root - 1e-3, root, 1e-3)), 10.0) + u * inward
-            form += self.penalty * ng.IfPos(-gap, -gap, 0.0) * (inward[2] * e - inward * v) * touched
+            density, inward = linear_density(grad, p), self.rest()
+            gap = self.gap(u, d)
+            form += self.penalty * ng.IfPos(-gap, -gap, 0.0) * (inward[2] * e - inward * v) * self.held.ds
         else:
-            f, own = ng.Id(3) + grad, own + u
+            f, gap = ng.Id(3) + grad, self.gap(u, d)
             density = neo_hookean_density(ng.InnerProduct(f, f) - 3.0, ng.Det(f), p)
-            gap = ng.sqrt(own * own) - ball
             inside = ng.IfPos(-gap, gap, 0.0)
-            form += ng.Variation(self.penalty / 2.0 * inside * inside * touched)
+            form += ng.Variation(self.penalty / 2.0 * inside * inside * self.held.ds)
+        if case.get("sticks"):
+            away = self.pulled(u, d)
+            pulled = self.held.on * ng.IfPos(-gap, 1.0, 0.0) * away * away
+            form += ng.Variation(self.penalty / 2.0 * pulled * self.held.ds)
         # A tiny compressibility, 1e-7, is added: the saddle point is then regular.
         form += ng.Variation((density - 0.5e-7 * p * p) * ng.dx(bonus_intorder=4))
-        area = ng.Integrate(ng.CF(1.0) * touched, mesh)
-        form += -0.5 * case["force_n"] / area * e * touched
+        area = ng.Integrate(ng.CF(1.0) * ng.ds("touched"), mesh)
+        form += -0.5 * self.force / area * e * ng.ds("touched")
         self.form = form
 
-    def found(self, penalties):
-        """Return displacements at the places, and the depth, with one penalty after the other."""
-        for value in penalties:
-            self.penalty.Set(value)
-            newton(self.form, self.state)
+    def own(self, moved, depth):
+        """Return places in the probe's axes from its middle or its face's; by linear theory, ways if it is tilted."""
+        if not self.tilted:
+            return self.place + moved - ng.CF((0.0, 0.0, depth - self.case["diameter_mm"] / 2.0))
+        if self.linear:
+            return ng.CF((moved[0], moved[1], 0.0))
+        return self.in_cylinder(self.place + moved, depth)
+
+    def in_cylinder(self, place, depth):
+        """Return places in the axes of a cylinder tilted about y that touched at depth 0."""
+        edge, angle = self.case["edge_mm"], math.radians(self.case["tilt_deg"])
+        sine, cosine = math.sin(angle), math.cos(angle)
+        low = abs(sine) * (self.case["diameter_mm"] / 2.0 - edge) + edge * (1.0 - cosine)
+        x, y, z = place[0], place[1], place[2] - depth + low
+        return ng.CF((cosine * x - sine * z, y, sine * x + cosine * z))
+
+    def rest(self):
+        """Return the normals into the rubber; where it is flat, find the gaps along them by Newton's steps."""
+        if not self.tilted:
+            core = ng.CF((ng.IfPos(ng.x, 0.0, ng.x), 0.0, FINGER_MM[0]))
+            return (core - self.place) / ng.Norm(core - self.place)
+        self.rest_gap, angle = ng.GridFunction(self.held.value.space), math.radians(self.case["tilt_deg"])
+        far, normal = from_cylinder(self.case, self.in_cylinder(ng.CF((ng.x, ng.y, -self.rest_gap)), 0.0))
+        steep = normal[2] * math.cos(angle) - normal[0] * math.sin(angle)
+        for _ in range(60):
+            gap = self.held.at_points(self.rest_gap + far / ng.IfPos(steep - 0.1, steep, 0.1))
+            self.rest_gap.vec.FV().NumPy()[:] = np.minimum(gap, 5.0)
+        return ng.CF((0.0, 0.0, 1.0))
+
+    def gap(self, moved, depth):
+        """Return how far the surface is from the probe."""
+        if self.tilted:
+            if self.linear:
+                return self.rest_gap - depth + moved[2]
+            return from_cylinder(self.case, self.own(moved, depth))[0]
+        ball = self.case["diameter_mm"] / 2.0
+        if not self.linear:
+            own = self.own(moved, depth)
+            return ng.sqrt(own * own) - ball
+        inward, own = self.rest(), self.own(0.0 * moved, depth)
+        ahead = own * inward
+        root = ahead * ahead - own * own + ball**2
+        return ng.IfPos(root - 1e-3, ahead - ng.sqrt(ng.IfPos(root - 1e-3, root, 1e-3)), 10.0) + moved * inward
+
+    def pulled(self, moved, depth):
+        """Return how far points are from their places on the probe, along its surface."""
+        anchor = ng.CF(tuple(self.held.anchor))
+        normal = ng.CF((0.0, 0.0, 1.0)) if self.linear else from_cylinder(self.case, anchor)[1]
+        away = self.own(moved, depth) - anchor
+        return away - (away * normal) * normal
+
+    def found(self, penalties, parts=1):
+        """Return displacements at the places, the depth, and if it sticks the force along x, with one penalty after
+        the other; parts of a press that sticks hold what has come to touch."""
         moved, _, depth = self.state.components
-        return np.array([moved(self.mesh(*place)) for place in self.case["places_mm"]]), float(depth.vec[0])
+        for part in range(1, parts + 1):
+            self.force.Set(self.case["force_n"] * (part / parts) ** 2)
+            for value in penalties if part == 1 else penalties[-1:]:
+                self.penalty.Set(value)
+                newton(self.form, self.state, 1e-8, "sparsecholesky")
+            deep = float(depth.vec[0])
+            if self.case.get("sticks"):
+                touches, own = ng.IfPos(-self.gap(moved, deep), 1.0, 0.0), self.own(moved, deep)
+                self.held.remember(touches, own)
+        reached = np.array([moved(self.mesh(*place)) for place in self.case["places_mm"]]), deep
+        return (*reached, self.side(moved, deep)) if self.case.get("sticks") else reached
+
+    def side(self, moved, depth):
+        """Return the force along x, N."""
+        gap, away, angle = self.gap(moved, depth), self.pulled(moved, depth), math.radians(self.case["tilt_deg"])
+        force = -self.held.on * ng.IfPos(-gap, 1.0, 0.0) * away
+        if self.linear:
+            across = force[0]
+        else:
+            force = force + ng.IfPos(-gap, -gap, 0.0) * from_cylinder(self.case, self.own(moved, depth))[1]
+            across = math.cos(angle) * force[0] + math.sin(angle) * force[2]
+        return 2.0 * float(ng.Integrate(self.penalty * across * self.held.ds, self.mesh))
 
 
 def finger(_, fine):
@@ -395,14 +477,27 @@ def finger(_, fine):
     return half_mesh(top + base, names, dense, fine, 1.3, maxh=2.5).Curve(2)
 
 
-def finger_pair(case, order, mesh):
+def half_pair(case, order, mesh):
     """Return displacements and depth by linear theory, and at finite strain, which begins there."""
-    straight, bent = (FingerPress(case, mesh, order, linear) for linear in (True, False))
-    straight.state.components[2].vec[0] = 0.3
-    found = straight.found(FINGER_PENALTIES[::3])
-    bent.state.vec.data = straight.state.vec
-    bent.state.components[2].vec[0] += 0.06
-    return found, bent.found(FINGER_PENALTIES)
+    straight, bent = (HalfPress(case, mesh, order, linear) for linear in (True, False))
+    parts = 4 if case.get("sticks") else 1
+    straight.state.components[2].vec[0] = bent.state.components[2].vec[0] = 0.3 if parts == 1 else 0.03
+    found = straight.found(FINGER_PENALTIES[::3], parts)
+    if parts == 1:
+        bent.state.vec.data = straight.state.vec
+        bent.state.components[2].vec[0] += 0.0 if bent.tilted else 0.06
+    return found, bent.found(FINGER_PENALTIES, parts)
+
+
+def tilted_block(case, fine):
+    """The half y >= 0 of a block of 24 x 24 x 10 mm, elements small where a tilted cylinder touches."""
+    names = {
+        "held": lambda low, high: min(low.z, high.z) > 10.0 - 1e-3,
+        "touched": lambda low, high: max(low.z, high.z) < 1e-3,
+    }
+    near, at = case["reach"], case["touch_mm"]
+    wide = [(r, z, 0.0) for r in np.linspace(0.0, near, 6) for z in (0.0, 0.3, 0.8)]
+    return half_mesh(Box(Pnt(-12, 0, 0), Pnt(12, 12, 10)), names, wide, fine, 99.0, at, maxh=3.0)
 
 
 def once_more(stored, pair, make, check):
@@ -412,9 +507,10 @@ def once_more(stored, pair, make, check):
         (straight, bent), coarse = (pair(case, order, make(case, fine)) for order, fine in check)
         most = np.linalg.norm(straight[0], axis=1).max()
         other = coarse[1][0] - coarse[0][0] - (bent[0] - straight[0])
-        for name, (moved, depth, *radius) in (("_linear", straight), ("", bent)):
+        what, unit = ("side", "n") if "tilt_deg" in case else ("contact", "mm")
+        for name, (moved, depth, *more) in (("_linear", straight), ("", bent)):
             row["linear_mm" if name else "strained_mm"] = moved.round(7).tolist()
-            row |= {f"indentation{name}_mm": depth} | {f"contact{name}_mm": each for each in radius}
+            row |= {f"indentation{name}_mm": depth} | {f"{what}{name}_{unit}": each for each in more}
         row["own_error"] = float(np.linalg.norm(other, axis=1).max() / most)
         print({key: value for key, value in row.items() if not isinstance(value, list)}, flush=True)
 
@@ -648,7 +744,8 @@ def twisted(stored):
 MAKERS = {
     "slab": ("neohooke", lambda stored: once_more(stored, pair, slab, ((3, 1.0), (4, 1.4)))),
     "dome": ("dome_neohooke", lambda stored: once_more(stored, pair, dome, ((3, 1.0), (3, 1.6)))),
-    "finger": ("finger_neohooke", lambda stored: once_more(stored, finger_pair, finger, ((2, 0.1), (2, 0.14)))),
+    "finger": ("finger_neohooke", lambda stored: once_more(stored, half_pair, finger, ((2, 0.1), (2, 0.14)))),
+    "tilted": ("tilted_neohooke", lambda stored: once_more(stored, half_pair, tilted_block, ((2, 0.31), (2, 0.4)))),
     "stuck": ("stuck_neohooke", stuck),
     "twisted": ("twisted_neohooke", twisted),
 }

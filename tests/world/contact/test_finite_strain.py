@@ -716,6 +716,28 @@ def test_tilted_ball_of_triangles_is_another_codes_sphere(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("number", [0, 1, 2], ids=["15 degrees", "25 degrees", "15 degrees, sticks"])
+def test_tilted_cylinder_is_another_codes(number):
+    """Tilted about y, and as much about x: the mesh is not turned."""
+    truth, places = truth_of("tilted_neohooke")
+    case, push = truth["cases"][number], twin.Step(force_n=(None, None, 1.0))
+    free = {"friction": STICKY, "steps": (push,)} if "sticks" in case else {"force_n": (0, 0, 1.0)}
+    cylinder = Cylinder(diameter_mm=case["diameter_mm"], edge_mm=case["edge_mm"])
+    sensor = made(**{"body.width_mm": 24.0, "body.length_mm": 24.0, "body.thickness_mm": 10.0})
+    linear, bent = np.array(case["linear_mm"]), np.array(case["strained_mm"])
+    for tilt, turned in (((0, 1, 0), np.eye(3)), ((-1, 0, 0), np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]))):
+        tilt_deg = tuple(case["tilt_deg"] * np.array(tilt, float))
+        state = sensor.press(twin.Press(probe=cylinder, tilt_deg=tilt_deg, **free))
+        more = state.load.strained
+        left = largest(more.displacement(places @ turned) @ turned.T - bent + linear) / largest(linear)
+        assert left < state.error.strain.markers < largest(bent - linear) / largest(linear) / 2
+        sunk = more.indentation_mm - case["indentation_mm"] + case["indentation_linear_mm"]
+        assert abs(sunk) < state.error.strain.indentation * state.indentation_mm
+        if "sticks" in case:
+            assert (turned @ state.force_n)[0] == pytest.approx(case["side_n"], abs=state.error.force)
+
+
+@pytest.mark.slow
 def test_cylinder_tilted_back_on_an_oblique_way_is_another_codes_upright_one():
     """Frictionless, it stands where it ends: the way begins beside that."""
     case = next(one for one in TRUTH["cases"] if one.get("edge_mm") == 0.5 and one["force_n"] == 3.0)
