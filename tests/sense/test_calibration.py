@@ -62,11 +62,13 @@ def test_terms_of_no_rubber_are_refused(terms):
         dataclasses.replace(CALIBRATION, provenance=json.dumps({"relaxation": terms}))
 
 
-@pytest.mark.parametrize("name", ["scale_error", "mesh_error", "print_error"])
+@pytest.mark.parametrize("name", ["scale_error", "mesh_error", "print_error", "read_error"])
 @pytest.mark.parametrize("share", ["ab", None, -0.1, 1.0, float("nan")])
 def test_a_share_beyond_the_whole_is_refused(name, share):
     with pytest.raises(InputError, match=rf"calibration: {name} = .* must lie from 0 to 1"):
-        dataclasses.replace(CALIBRATION, provenance=json.dumps({name: share}))
+        dataclasses.replace(
+            CALIBRATION, provenance=json.dumps({name: [0, 0, share] if name == "read_error" else share})
+        )
 
 
 @pytest.mark.parametrize("size", [640, [640], [640, "480"], [0, 480], {"width": 640}])

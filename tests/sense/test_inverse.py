@@ -85,6 +85,15 @@ def test_bounds_that_hold_in_truth_lower_the_field_error():
         assert again.force_n == pytest.approx(cone.force_n, rel=0.1, abs=0.02)
 
 
+def test_totals_state_how_far_off_a_calibration_read_its_own_presses():
+    markers, seen, calibration = FLAT
+    found = as_found(shifts(markers, seen, *disk((0, 0), 5.0, (0.4, 0.2, 2.0))), calibration, 0.05, 1)
+    plain = reconstruct(found, calibration)
+    told = dataclasses.replace(calibration, provenance='{"read_error": [0.1, 0.0, 0.2]}')
+    expected = np.hypot(plain.sd_total_n, [0.1, 0.0, 0.2] * plain.total_force_n)
+    assert reconstruct(found, told).sd_total_n == pytest.approx(expected)
+
+
 def test_totals_do_not_state_what_a_wrong_coefficient_of_friction_makes_of_the_sites():
     """A load that needs 0.6: held to 0.3 its sites push too much, which the motion contradicts."""
     markers, seen, calibration = FLAT

@@ -674,6 +674,7 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
     modulus = read_calibration(tmp_path / "f.npz").facts["youngs_modulus_mpa"]
     assert modulus == pytest.approx(stiffer * crept * fitted.material.youngs_modulus_mpa, rel=0.01)
     assert "read    total force of these presses off by: Fx 0." in right
+    assert not read_calibration(tmp_path / "f.npz").read_error.any()
     pulled = [lines[0], *(",".join([*row.split(",")[:6], "-3"]) for row in lines[1:])]
     (tmp_path / "presses.csv").write_text("\n".join(pulled) + "\n")
     with pytest.raises(InputError, match="every press pulls"):

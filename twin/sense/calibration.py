@@ -172,7 +172,7 @@ class Calibration:
                 json.loads(getattr(self, name))
             except (ValueError, RecursionError) as problem:
                 raise InputError(f"calibration: {name} must be JSON text ({problem})") from None
-        shares = ("scale_error", "mesh_error", "print_error")
+        shares = ("scale_error", "mesh_error", "print_error", "read_error")
         for checked in ("relaxation", *shares, "_camera_error", "_picture_px"):
             getattr(self, checked)  # bad ones are refused here
         if self.has_camera:
@@ -250,8 +250,24 @@ class Calibration:
         """
         return self._share("print_error")
 
+    @cached_property
+    def read_error(self) -> Floats:
+        """(3,) shares of each component of a total force by which this calibration read its own
+        presses further off than was stated: where forces are expected, and how they spread between
+        sites, err alike in all of them. 0 if that isn't known.
+
+        They stand in `provenance`, as ``read_error``.
+        """
+        found = self.facts.get("read_error", [0.0] * 3)
+        if not (isinstance(found, list) and len(found) == 3):
+            raise InputError(f"calibration: read_error = {found!r} must be three shares")
+        return frozen(np.array([self._checked_share("read_error", one) for one in found]))
+
     def _share(self, name: str) -> float:
-        found = self.facts.get(name, 0.0)
+        return self._checked_share(name, self.facts.get(name, 0.0))
+
+    @staticmethod
+    def _checked_share(name: str, found: object) -> float:
         if not (isinstance(found, int | float) and 0.0 <= found < 1.0):
             raise InputError(f"calibration: {name} = {found!r} must lie from 0 to 1")
         return float(found)

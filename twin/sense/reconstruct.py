@@ -92,7 +92,8 @@ class Field(Table):
         (k, 3) standard deviation of the linear estimate's forces, given the prior, N.
     sd_total_n, sd_torque_nmm
         (3,) standard deviations of the totals, N and N mm: by the noise, by what the calibration
-        leaves open (`Calibration.scale_error`, `Calibration.by_thickness`, `Calibration.by_depth`,
+        leaves open (`Calibration.scale_error`, `Calibration.read_error`,
+        `Calibration.by_thickness`, `Calibration.by_depth`,
         `Calibration.by_camera`, `Calibration.by_load_cell`, `Calibration.mesh_error`; recorded
         places leave nothing), and by `Found.gain_error` and `Found.drift_px`. By ``local`` also by
         where forces are expected, and by the misfit of markers next to them
@@ -312,6 +313,8 @@ def _sd_of_totals(
     sd[:3] = np.hypot(sd[:3], moved)
     totals = rows @ linear.force_n.ravel()
     sd = np.hypot(sd, np.hypot(calibration.scale_error, found.gain_error) * totals)
+    # torques about x and y are mostly made by forces along z
+    sd = np.hypot(sd, calibration.read_error[[0, 1, 2, 2, 2, 0]] * totals)
     sd = np.hypot(sd, linear.totals_left_open)
     if np.any(found.drift_px):
         drift = problem.whiten(found.drift_px * np.ones_like(found.shift_px))

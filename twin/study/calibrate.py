@@ -213,8 +213,9 @@ def _agreement(made: Calibration) -> list[str]:
 
 def _read_back(
     made: Calibration, scene: Scene, found: Sequence[Found], force_n: Floats
-) -> list[str]:
-    """Return how far off the total forces are that a calibration reads from its own presses."""
+) -> tuple[Calibration, list[str]]:
+    """Return the calibration, stating by what share the total forces that it reads from its own
+    presses are further off than it stated, and lines about them."""
     from twin.sense.reconstruct import reconstruct
 
     options = scene.inverse.options()
@@ -232,9 +233,16 @@ def _read_back(
         parts = (f"F{axis} {one:.2g}" for axis, one in zip("xyz", rms(values), strict=True))
         return f"read    {what}: {', '.join(parts)} N (root mean square)"
 
+    # of components that the load cell read well, and more than chance makes of this many presses
+    size = np.maximum(rms(force_n), np.finfo(float).tiny)
+    excess = np.sqrt(np.maximum(rms(totals) ** 2 - rms(allowed) ** 2, 0.0)) / size
+    by_chance = 1.0 + (2.0 / len(found)) ** 0.5
+    known = (size > SPREAD * cell) & (rms(totals) > by_chance * rms(allowed))
+    share = np.where(known, np.minimum(excess, MOST_OFF), 0.0)
+    made = _stating(made, {"read_error": share.tolist()})
     lines = [
         line("total force of these presses off by", totals),
-        line(f"stated, with the load cell's {cell:g} N", allowed),
+        line(f"stated, with the load cell's {cell:g} N", np.hypot(allowed, share * force_n)),
     ]
     if options["push_only"] or options["friction"] is not None:
         sums = np.array([field.force_n.sum(axis=0) for field in fields]) - force_n
@@ -246,7 +254,7 @@ def _read_back(
             "Poisson's ratio), which one layer of dots hardly shows. Trust a force no more than "
             "the lines above say"
         )
-    return lines
+    return made, lines
 
 
 def _fitted_numbers(scene: Scene, facts: dict[str, Any]) -> list[str]:
@@ -641,7 +649,8 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
     tracker = Tracker(read_picture(rest), sensor.layout_px, method=scene.tracking.method)
     rest_px = tracker.rest.rest_px
     known = np.asarray(np.isfinite(rest_px).all(axis=1))
-    text, read = f"{int(known.sum())} of {len(known)} markers", []
+    text = f"{int(known.sum())} of {len(known)} markers"
+    read: list[str] = []
     if known.mean() < SMALLEST_SHARE:
         raise InputError(
             f"{rest}: shows {int(known.sum())} of the design's {len(known)} markers; is it this "
@@ -677,7 +686,7 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
         presses = _measured(scene, np.zeros(count, np.int64), force_n, found)
         made = _by_presses(sensor, names, places_mm, presses)
         if scene.calibration.method == "fitted":
-            read = _read_back(made, scene, found, force_n)
+            made, read = _read_back(made, scene, found, force_n)
         text += f", {count} presses"
         if sensor.relaxation is not None and not np.isfinite(held_s).all():
             # How far the rubber had relaxed under each press isn't known.

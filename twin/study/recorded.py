@@ -522,6 +522,7 @@ class _Summary:
         factor = f"the calibration's factor ({100 * known.scale_error:.2g} %)"
         causes = {
             factor: known.scale_error > 0,
+            "how far off it read its own presses": known.read_error.any(),
             "the layers' depths": known.by_depth.size > 0,
             "the load cell of the calibration": known.by_load_cell.size > 0,
             relaxing: bool(relaxing),
