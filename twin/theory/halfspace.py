@@ -527,7 +527,8 @@ def _solid_angle(
     the rectangle.
 
     It is the argument of a product of four complex numbers, up to a turn: more than pi is seen from
-    above the rectangle only. Past its edges it has the sign of z; through them it goes on growing.
+    above the rectangle only. Past the edges it has the sign of z; through the rectangle it grows
+    on.
     """
     if z != 0.0:
         a = x1 * z * (y1 * r12 - y2 * r11)
