@@ -274,7 +274,7 @@ def of_a_mosaic(image, seed):
 @pytest.mark.parametrize(
     ("camera", "diameter", "largest"),
     [
-        (of_rows, 10.0, 0.04),
+        (of_rows, 10.0, 0.01),
         (with_hot_pixels, 10.0, 0.01),
         (in_other_light, 10.0, 0.013),
         (of_a_mosaic, 6.0, 0.04),

@@ -64,13 +64,14 @@ class Flaws:
         (h, q) brightness of the ground at rest, of some columns; None without bands.
     bands
         (h, 1) light of the rest picture's rows, over that without the bands of a light that
-        flickers while a camera reads them one after the other.
+        flickers while a camera reads them one after the other; None where rows differ by noise of
+        their reading, which adds to all brightness alike.
     """
 
     blocks: tuple[int, int] | None
     bad: tuple[Ints, Ints, Ints]
     ground: Floats | None = None
-    bands: Floats | float = 1.0
+    bands: Floats | None = None
 
     @classmethod
     def of(cls, picture: Picture) -> Flaws:
@@ -106,9 +107,14 @@ class Flaws:
             return self, picture
         place = np.linspace(-1.0, 1.0, len(rows))
         trend = np.polynomial.polynomial.polyfit(place, parts[:, rows].T, TREND)
-        bands, *halves = parts[:, rows] / np.polynomial.polynomial.polyval(place, trend)
+        smooth = np.polynomial.polynomial.polyval(place, trend)
+        bands, *halves = parts[:, rows] / smooth
         if bands.std() < BANDED or not np.corrcoef(halves)[0, 1] > ALIKE:
             return self, picture
+        # Bands go on from row to row, noise does not.
+        left = _medians_of(even, axis=1)[rows] / smooth[0]
+        if np.std(left - bands) > np.std(bands):
+            return replace(self, ground=ground), _level_rows(picture, ground)
         by = np.interp(np.arange(len(picture)), rows, bands)[:, None]
         return replace(self, ground=ground, bands=by), _dimmed(picture, by)
 
@@ -119,6 +125,8 @@ class Flaws:
         `seen_without_bands`."""
         assert self.ground is not None
         now = _bare_ground(picture, marks_px, clear_px, margin_px)
+        if self.bands is None:
+            return _level_rows(picture, now)
         with np.errstate(divide="ignore", invalid="ignore"):
             change = _by_row(now / self.ground)
         rows = np.flatnonzero(np.isfinite(change) & (change > LEAST_LIGHT))
@@ -281,6 +289,9 @@ LEAST_LIGHT = 0.05
 COLUMNS = 400
 """About so many columns of a picture are looked at."""
 
+WITHIN = 3.0
+"""Standard deviations of a pixel's noise within which the ground of a row is averaged."""
+
 LEAST_GROUND = 12
 """Pixels of ground that show a row's brightness."""
 
@@ -325,9 +336,29 @@ def _by_row(values: Floats) -> Floats:
     return row
 
 
+def _level_rows(picture: Picture, ground: Floats) -> Picture:
+    """Return a picture less what its rows' ``ground`` (h, q) differs by from smooth changes."""
+    off = ground - _medians_of(ground, axis=0)
+    usual = _medians_of(off, axis=1)[:, None]
+    spread = WITHIN * 1.4826 * medians(np.abs(off - usual))
+    rows = np.flatnonzero(np.isfinite(usual))
+    if len(rows) < LEAST_ROWS:
+        return picture
+    # a mean shows less than a count, which a median of whole counts does not
+    level = np.nanmean(np.clip(off, usual - spread, usual + spread)[rows], axis=1)
+    place = np.linspace(-1.0, 1.0, len(rows))
+    level -= np.polynomial.Polynomial.fit(place, level, TREND)(place)
+    by = np.interp(np.arange(len(picture)), rows, level)
+    return _in_counts(picture - by[:, None, None], picture)
+
+
 def _dimmed(picture: Picture, by: Floats) -> Picture:
     """Return a picture divided by (h, 1), in its own kind of counts."""
-    light = picture / by[:, :, None]
+    return _in_counts(picture / by[:, :, None], picture)
+
+
+def _in_counts(light: Floats, picture: Picture) -> Picture:
+    """Return ``light`` (h, w, 3) in the kind of counts of a ``picture``."""
     if picture.dtype == np.uint8:
         return np.clip(np.rint(light), 0, 255).astype(np.uint8)
     return light.astype(picture.dtype)
