@@ -107,11 +107,12 @@ such dots' up to the last one; lenses leave 1.2 px and more."""
 LEAST_EDGE = 0.5
 """Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
 
-ROUGH_PX, WIDE_PX = 0.07, 7.0
+ROUGH_PX, WIDE_PX, DIM_WIDE_PX = 0.07, 3.5, 7.0
 """Median third harmonic of edges at rest above which a layer's outlines are no ellipses: strain
 turns a share of it into motion. Round dots have .003 to .03 px (8 to 44 px wide, JPEG 60, sharp or
 pale), blue ones with half the resolution up to .064, on grained ground all up to .046; outlines off
-by 1 % in each harmonic .09 to .18 (from 24 px on). Radius above which that matters."""
+by 1 % in each harmonic .09 to .18 (from 24 px on). Radius from which on an own picture shows it,
+and that of a layer that hardly shows in the brightness: compression makes small ones as rough."""
 
 CORNERED_PX = 0.6
 """The same of the fourth harmonic. Squares 24 px wide have 1.7 px, round dots up to .46 (15 px wide
@@ -278,14 +279,17 @@ class DiscFit(SoftWindow):
             noise = np.nanmedian(fitted[good & ~cut, VARIANCE])
             sd[cut] = np.hypot(sd[cut], np.sqrt(max(square - 2.0 * noise, 0.0)))
         pictures = None
-        rough = good & ~cut & (templates.radius_px > WIDE_PX)
+        wide_px = WIDE_PX if signal.bright else DIM_WIDE_PX
+        rough = good & ~cut & (templates.radius_px > wide_px)
         rows = np.flatnonzero(rough)
         if len(rows) and (
             here.roughness_px > ROUGH_PX
             or medians(OwnPictures.fourth_harmonics(picture, templates, rows)) > CORNERED_PX
         ):
             pictures = OwnPictures.of(picture, templates, rows)
-            sd[rough] = np.sqrt(fitted[rough, VARIANCE].mean(axis=1))
+            itself = fitted.copy()
+            pictures.fit(picture, templates, itself, around)
+            sd[rough] = np.sqrt(itself[rough, VARIANCE].mean(axis=1))
         covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
         rest_px = np.where(good[:, None], fitted[:, CENTRE], np.nan)
         return cls(
@@ -348,7 +352,7 @@ class DiscFit(SoftWindow):
             templates, fitted = now
         cut = self._cut(fitted, start_px)
         if self.pictures:
-            self.pictures.fit(picture, templates, fitted)
+            self.pictures.fit(picture, templates, fitted, self.around)
             cut &= fitted[:, RESHAPED] != OWN_PICTURE
         if not (np.fmax.reduce(fitted[:, DOUBTED]) > 0.0 or cut.any()):
             return fitted  # nearly always

@@ -64,6 +64,9 @@ ASTRAY = 0.15
 """Share of the markers that may have moved unlike their neighbours: the spots of partly hidden
 markers lie off their centres."""
 
+TURNS_OF_PLANES, PULL = 3, 0.02
+"""Weighted fits of the light around a marker; a weak pull to no slope."""
+
 OUTLYING = 3.0
 """A score of more medians counts as one of so many: under moving shadows up to a quarter of a layer
 may have more."""
@@ -309,6 +312,36 @@ class Neighbourhood:
             usual[alone] = medians(known)
             spread[alone] = medians(np.abs(known - usual[alone][0]))
         return usual, 1.4826 * spread
+
+    def slopes(self, values: Floats, places: Pixels) -> tuple[Floats, Floats, float]:
+        """Fit planes to ``values`` (n,) at ``places`` (n, 2) over every marker and its neighbours,
+        outliers bounded.
+
+        Returns
+        -------
+        (n, 2) slopes, 1/px; (n,) how far values lie off the planes; and which share of the values'
+        squares that is.
+        """
+        members = np.column_stack([np.arange(len(values)), self.near])
+        weight = np.column_stack([np.ones(len(values)), self.fit_weight])
+        value = values[members]
+        weight[~np.isfinite(value)] = 0.0
+        value = np.nan_to_num(value)
+        terms = np.ones((*members.shape, 3))
+        terms[:, :, 1:] = np.nan_to_num(places[members] - places[:, None]) / self.spacing_px
+        both = np.concatenate([terms, value[:, :, None]], axis=2)
+        products = (terms[:, :, :, None] * both[:, :, None]).reshape(*members.shape, 12)
+        trust, pull = weight, PULL * np.eye(3)
+        for _ in range(TURNS_OF_PLANES):
+            sums = (trust[:, None] @ products).reshape(-1, 3, 4)
+            plane = np.linalg.solve(sums[:, :, :3] + pull, sums[:, :, 3:])
+            off = value - (terms @ plane)[:, :, 0]
+            usual = 1.4826 * medians(np.where(weight > 0.0, np.abs(off), np.nan), 1)
+            trust = weight / (1.0 + (off / np.fmax(OUTLYING * usual, 1e-9)[:, None]) ** 2) ** 2
+        mean = (weight * value).sum(axis=1) / np.fmax(weight.sum(axis=1), 1e-9)
+        square = (weight * (value - mean[:, None]) ** 2).sum()
+        left = float((weight * off**2).sum() / max(square, 1e-12))
+        return plane[:, 1:, 0] / self.spacing_px, usual, left
 
     def complete(self, spots: Pixels, spot: Ints, allowed: Bools) -> Ints:
         """Return (n,) ``spot``, with those of the ``allowed`` (b,) spots added for markers that

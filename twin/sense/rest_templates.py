@@ -27,7 +27,7 @@ from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kerne
 from twin.compiled import njit
 from twin.sense.centre import Look
 from twin.sense.colour import LUMA, Flaws
-from twin.sense.match import OUTLYING, Neighbourhood
+from twin.sense.match import Neighbourhood
 from twin.sense.shape_fit import fit_shapes
 from twin.sense.template import (
     CENTRE,
@@ -126,9 +126,6 @@ noise, above which the light has changed."""
 LIGHT = (0.05, 20.0)
 """Of the light at rest that the ground or the markers are seen in."""
 
-TURNS_OF_PLANES, PULL = 3, 0.02
-"""Weighted fits of the light around a marker; a weak pull to no slope."""
-
 UNLIT = 0.6
 """Share of the change, squared, that planes may leave where it is light's: shadows a quarter of a
 marker's distance wide leave .3; hidden parts, growth and shadows of single markers .8 and more."""
@@ -147,6 +144,8 @@ class LayerSignal:
     brightness
         As ``own``, of the brightness, in which compression keeps more than in colours; where the
         layer hardly shows in it, of both; None where the projection was given.
+    bright
+        Whether the layer shows in the brightness (`LEAST_LUMA`).
     sites
         See `Templates`: of a colour mosaic, where the layer shows in one colour.
     """
@@ -154,6 +153,7 @@ class LayerSignal:
     own: Singles
     others: Singles
     brightness: Singles | None
+    bright: bool
     sites: Singles
 
     @classmethod
@@ -222,6 +222,7 @@ class LayerSignal:
                     own=with_ground(weights, colour),
                     others=others,
                     brightness=brightness,
+                    bright=bool(in_brightness),
                     sites=sites,
                 )
             )
@@ -389,7 +390,7 @@ def light_at_rest(templates: Templates, around: Neighbourhood) -> tuple[bool, Fl
     shows = bool(medians(np.abs(whole)) > medians(np.abs(ground)))
     bright = whole if shows else ground
     logarithm = np.log(np.fmax(np.abs(bright), 1.0))
-    return shows, bright, _local_slopes(logarithm, templates.rest[:, CENTRE], around)[0]
+    return shows, bright, around.slopes(logarithm, templates.rest[:, CENTRE])[0]
 
 
 def in_other_light(
@@ -427,7 +428,7 @@ def in_other_light(
         return None
     # less what markers that have moved see of the light at rest
     change -= ((place - templates.rest[:, CENTRE]) * slope_before).sum(axis=1)
-    slope, off, left = _local_slopes(change, place, around)
+    slope, off, left = around.slopes(change, place)
     if left > UNLIT:
         return None
     unsure = off / around.spacing_px * moves
@@ -439,39 +440,6 @@ def in_other_light(
     lit, mark = np.nan_to_num(lit), np.where(np.isfinite(mark), mark, shape)
     relit = replace(templates, shape=for_kernel(mark), ground=lit)
     return relit, relit.fit(picture, for_kernel(place))
-
-
-def _local_slopes(
-    values: Floats, places: Pixels, around: Neighbourhood
-) -> tuple[Floats, Floats, float]:
-    """Fit planes to ``values`` (n,) at ``places`` (n, 2) over every marker and its neighbours,
-    outliers bounded.
-
-    Returns
-    -------
-    (n, 2) slopes, 1/px; (n,) how far values lie off the planes; and which share of the values'
-    squares that is.
-    """
-    members = np.column_stack([np.arange(len(values)), around.near])
-    weight = np.column_stack([np.ones(len(values)), around.fit_weight])
-    value = values[members]
-    weight[~np.isfinite(value)] = 0.0
-    value = np.nan_to_num(value)
-    terms = np.ones((*members.shape, 3))
-    terms[:, :, 1:] = np.nan_to_num(places[members] - places[:, None]) / around.spacing_px
-    both = np.concatenate([terms, value[:, :, None]], axis=2)
-    products = (terms[:, :, :, None] * both[:, :, None]).reshape(*members.shape, 12)
-    trust, pull = weight, PULL * np.eye(3)
-    for _ in range(TURNS_OF_PLANES):
-        sums = (trust[:, None] @ products).reshape(-1, 3, 4)
-        plane = np.linalg.solve(sums[:, :, :3] + pull, sums[:, :, 3:])
-        off = value - (terms @ plane)[:, :, 0]
-        usual = 1.4826 * medians(np.where(weight > 0.0, np.abs(off), np.nan), 1)
-        trust = weight / (1.0 + (off / np.fmax(OUTLYING * usual, 1e-9)[:, None]) ** 2) ** 2
-    mean = (weight * value).sum(axis=1) / np.fmax(weight.sum(axis=1), 1e-9)
-    square = (weight * (value - mean[:, None]) ** 2).sum()
-    left = float((weight * off**2).sum() / max(square, 1e-12))
-    return plane[:, 1:, 0] / around.spacing_px, usual, left
 
 
 def _noise_variances(
