@@ -22,7 +22,7 @@ The kernels work in the frame of the load and return everything divided by c, pe
 1 - 2 nu; -nu/pi n . f with n_j = x_j / r^3 is lambda div u, which stays finite at nu = 1/2.
 
 Validity: small strain, linear isotropic rubber, sides of 1e-30 to 1e30 mm, points on or below every
-rectangle's plane, or over it beside the rectangle and just over itself (a hollow face), where the
+rectangle's plane, or over it next to the rectangle and just over itself (a hollow face), where the
 same formulas go on. Infinite values on a rectangle's edges at the surface are finite. On the 40 mm
 block these formulas alone are 9 to 17 % wrong: `twin.world.elasticity.compliance` adds the rest.
 """

@@ -110,6 +110,7 @@ def test_a_single_layer_is_judged_by_the_full_chain_in_a_folder_of_its_own(tmp_p
         run_sweep(sweep, scene, tmp_path / "run")
     with pytest.raises(RecipeError, match="--optimise searches by the closed form or linear information"):
         run_sweep(sweep, scene, tmp_path / "out", optimise=True)
+    assert not (tmp_path / "out").exists()
     assert load_sweep(path, {"reconstruction.method": "smooth"})[0].ladder == ("closed", "linear")
 
 

@@ -215,6 +215,11 @@ def run_sweep(
         reached.
     """
     _check(sweep, scene)
+    if optimise and sweep.ladder == ("full",):
+        raise RecipeError(
+            "fidelity = ['full']: --optimise searches by the closed form or linear information; "
+            "add 'closed' or 'linear', or sample designs without --optimise"
+        )
     designs = Designs.of(sweep, scene)
     if scheduler is not None:
         scheduler.reach()
@@ -395,11 +400,6 @@ def _optimised(designs: Designs, rows: Rows) -> Designs:
     from scipy.optimize import differential_evolution
 
     sweep, scene = designs.sweep, designs.scene
-    if sweep.ladder == ("full",):
-        raise RecipeError(
-            "fidelity = ['full']: --optimise searches by the closed form or linear information; "
-            "add 'closed' or 'linear', or sample designs without --optimise"
-        )
     stage = "linear" if "linear" in sweep.ladder else "closed"
     # A population that begins with Sobol' points is a power of two, SciPy rounds it up.
     size = 2 ** math.ceil(math.log2(max(5, POPULATION * len(sweep.axes))))
