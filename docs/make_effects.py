@@ -43,6 +43,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "dispersion": {"material.abbe_number": 50, "camera.layers": [GLASS]},
     "gloss": {f"markers.{layer}.gloss": [1.59, 0.1] for layer in ("red", "blue")},
     "texture": {f"markers.{layer}.texture": [0.3, 0.2] for layer in ("red", "blue")},
+    "uneven markers": {f"tolerance.print_{what}_pct": 10 for what in ("diameter", "oval", "shade", "colour")},
     "haze": {"ccd.haze": 0.3},
     "ghost": {"ccd.ghost": 0.1, "ccd.ghost_px": [12, 5]},
     "smear": {"ccd.smear": 0.05},

@@ -171,12 +171,17 @@ class MarkerSet:
 
     @dataclass(frozen=True, kw_only=True)
     class Prints:
-        """How single markers differ from the drawing: (n,) factors on diameter and reflectance, and
-        which are not there; these keep their rows."""
+        """How single markers differ from the drawing: (n,) factors on diameter and reflectance,
+        which are not there (these keep their rows), (n,) factors on the diameter that lies at (n,)
+        angles from s to t, those across being divided by them, and (n, 3) on each channel's
+        reflectance."""
 
         size: Floats
         shade: Floats
         missing: Bools
+        longer: Floats
+        way_rad: Floats
+        tint: Floats
 
     layer: np.ndarray
     chart: Chart

@@ -84,6 +84,8 @@ LATER: dict[str, object] = {
     "bubbles": None,
     "length_mm": 0.0,
     "hollow": 0.0,
+    "print_oval_pct": 0.0,
+    "print_colour_pct": 0.0,
 }
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so
 that files stored under a hash of all keys stay valid."""

@@ -183,6 +183,10 @@ class Scene(Part):
             Of each marker's place along the surface.
         print_diameter_pct, print_shade_pct
             Of each marker's diameter and of its reflectance, percent.
+        print_oval_pct
+            Of how much longer a marker is one way along the surface, and shorter across, percent.
+        print_colour_pct
+            Of a marker's reflectance in each of red, green and blue by itself, percent.
         missing
             Share of markers that the maker lost (not a standard deviation).
         pupil_mm
@@ -203,6 +207,8 @@ class Scene(Part):
         print_mm: float = Field(default=0.03, ge=0, le=2)
         print_diameter_pct: Percent = 0.0
         print_shade_pct: Percent = 0.0
+        print_oval_pct: Percent = 0.0
+        print_colour_pct: Percent = 0.0
         missing: float = Field(default=0.0, ge=0, le=1)
         pupil_mm: float = Field(default=0.1, ge=0, le=10)
         tilt_deg: float = Field(default=0.1, ge=0, le=10)

@@ -168,17 +168,24 @@ def _make(nominal: Scene) -> _Actual:
 
 
 def _prints(nominal: Scene, count: int) -> MarkerSet.Prints | None:
-    """Draw sizes, shades and losses of the markers, from a stream of their own."""
-    tolerance = nominal.tolerance
-    if tolerance.print_diameter_pct == tolerance.print_shade_pct == tolerance.missing == 0:
+    """Draw sizes, shades, losses, shapes and colours of the markers, from a stream of their own."""
+    room = nominal.tolerance
+    spreads = (room.print_diameter_pct, room.print_shade_pct, room.print_oval_pct)
+    if not any((*spreads, room.print_colour_pct, room.missing)):
         return None
     rng = Purpose.PRINT.stream(nominal.seed, 1)
-    size, shade = (
-        1 + pct / 100 * np.clip(rng.standard_normal(count), -CUT, CUT)
-        for pct in (tolerance.print_diameter_pct, tolerance.print_shade_pct)
+
+    def factors(pct: float, *channels: int) -> Floats:
+        return frozen(1 + pct / 100 * np.clip(rng.standard_normal((count, *channels)), -CUT, CUT))
+
+    return MarkerSet.Prints(
+        size=factors(room.print_diameter_pct),
+        shade=factors(room.print_shade_pct),
+        missing=frozen(rng.random(count) < room.missing),
+        longer=factors(room.print_oval_pct),
+        way_rad=frozen(np.pi * rng.random(count)),
+        tint=factors(room.print_colour_pct, 3),
     )
-    missing = rng.random(count) < tolerance.missing
-    return MarkerSet.Prints(size=frozen(size), shade=frozen(shade), missing=frozen(missing))
 
 
 class Sensor:

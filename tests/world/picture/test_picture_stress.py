@@ -172,7 +172,9 @@ def test_strain_stretches_prints_and_only_turns_beads(markers):
 def test_prints_of_their_own_size_shade_and_absence(markers):
     size, shade = np.linspace(0.9, 1.1, 13), np.linspace(0.5, 1.2, 13)
     missing = np.arange(13) == 3
-    found = Ellipsoids.of(markers, LAYERS, prints=MarkerSet.Prints(size=size, shade=shade, missing=missing))
+    ones, drawn = np.ones((len(size), 3)), {"size": size, "shade": shade, "missing": missing}
+    prints = MarkerSet.Prints(**drawn, longer=ones[:, 0], way_rad=ones[:, 0], tint=ones)
+    found = Ellipsoids.of(markers, LAYERS, prints=prints)
     plain = Ellipsoids.of(markers, LAYERS)
     assert_array_equal(found.present, ~missing)
     assert_allclose(found.axes[~missing], (plain.axes * size[:, None, None])[~missing])

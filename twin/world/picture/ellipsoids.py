@@ -124,16 +124,17 @@ class Ellipsoids:
         axes = np.zeros((n, 3, 3))
         colour = np.zeros((n, 3))
         gloss = np.zeros((n, 2))
-        # A bead stays a sphere and turns with the rubber; a print strains with it.
+        # A bead keeps its shape and turns with the rubber; a print strains with it.
         for name, layer in layers.items():
             rows = markers.of(name)
-            radius = layer.diameter_mm / 2
+            frames = _level_frames(markers.normals[rows])
             if layer.kind == "bead":
-                axes[rows] = radius * _turn(g[rows])
+                rest, moved = np.eye(3), _turn(g[rows])
             else:
-                sizes = radius * np.array([1.0, 1.0, PRINT_THICKNESS])
-                disc = _level_frames(markers.normals[rows]) * sizes
-                axes[rows] = (np.eye(3) + g[rows]) @ disc
+                rest, moved = frames * np.array([1.0, 1.0, PRINT_THICKNESS]), np.eye(3) + g[rows]
+            if prints is not None:
+                rest = _oval(frames, prints.longer[rows], prints.way_rad[rows]) @ rest
+            axes[rows] = layer.diameter_mm / 2 * (moved @ rest)
             colour[rows] = layer.colour
             gloss[rows] = layer.gloss or 0.0
         texture = None
@@ -143,11 +144,11 @@ class Ellipsoids:
                 spread, grain = layer.texture or (0.0, 1.0)
                 texture[markers.of(name), :, :3] *= np.pi / (2 * grain)
                 texture[markers.of(name), :, 4] *= spread
-        # Deviations of single markers: size, shade, or no marker at all.
+        # Deviations of single markers: size, colour, or no marker at all.
         if prints is not None:
             axes *= prints.size[:, None, None]
             axes[prints.missing] = np.nan
-            colour = np.clip(colour * prints.shade[:, None], 0, 1)
+            colour = np.clip(colour * prints.shade[:, None] * prints.tint, 0, 1)
         return Ellipsoids(
             centres=frozen(markers.points + u),
             axes=frozen(axes),
@@ -166,6 +167,16 @@ def _waves(count: int, seed: int) -> Floats:
     way *= rng.uniform(0.7, 1.3, (count, _WAVES, 1)) / np.linalg.norm(way, axis=2, keepdims=True)
     phase = rng.uniform(0, 2 * np.pi, (count, _WAVES, 1))
     return np.concatenate([way, phase, np.full_like(phase, np.sqrt(2 / _WAVES))], axis=2)
+
+
+def _oval(frames: Floats, longer: Floats, way_rad: Floats) -> Floats:
+    """Return (m, 3, 3) maps that stretch by (m,) factors at (m,) angles between the first two
+    columns of frames, and compress by as much across."""
+    cosine, sine = np.cos(way_rad)[:, None], np.sin(way_rad)[:, None]
+    along = cosine * frames[:, :, 0] + sine * frames[:, :, 1]
+    across = cosine * frames[:, :, 1] - sine * frames[:, :, 0]
+    parts = ((longer - 1, along), (1 / longer - 1, across))
+    return np.eye(3) + sum(by[:, None, None] * d[:, :, None] * d[:, None] for by, d in parts)
 
 
 def _turn(gradient: Floats) -> Floats:
