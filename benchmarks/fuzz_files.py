@@ -245,7 +245,7 @@ size_mm = 2.0
 pair_mm = 4.0
 presses = 2
 """
-CSV = "frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\npressed.png,0,0,,0,0,0.5\npressed.png,0,0,,0,0,0.5\n"
+CSV = "frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\npressed.png,0,0,,0,0,0.5\npressed.bmp,0,0,,0,0,0.5\n"
 
 
 def make_whole_files(folder: Path, readers: Iterable[str]) -> None:
