@@ -95,11 +95,11 @@ BRIGHTER = 1.2
 """The counts from which on other layers show follow the picture's brightness where that has changed
 by more than this factor: else a ground that is twice as bright passes for a layer."""
 
-RELIT_LEVEL = 1.08
+RELIT_LEVEL = 1.15
 """Factor of the markers' brightness from which on they are fitted again, from brightness and ground
 as now: else what the light lacks counts as the model's misfit, and where the model fits shaded
 markers badly, the robust fit ends in another place (.02 to .06 px off in .6 to .8 of the light).
-JPEG 60 takes up to .07 of small dots' brightness."""
+JPEG 60 takes .07 of small dots' brightness, defocus .12 of those 15 px wide."""
 
 SMOOTHER = 0.88
 """Brightness, or both (`LayerSignal.brightness`), replaces a layer's colour where third harmonics
