@@ -288,7 +288,8 @@ MOST_PIECES = 40
 WINDOW_MM = 1e-2
 """How far the corners of held triangles may be from the base plane that a camera looks through."""
 
-_ORIGIN_MM = _ROUNDED_MM = 1e-3  # corners in a file are rounded
+_ORIGIN_MM = 1e-3
+_ROUNDED_MM = 1e-3  # to which corners in a file are rounded
 _UPRIGHT = (
     "z points from the pressed surface, at z = 0, into the body: turn it in CAD if it does not"
 )

@@ -302,16 +302,25 @@ class FittedDesign:
                 change = body.to_points(markers, sites, moving=True) - drawn
             else:
                 near = self._by_half_space(markers, sites, step) if step else np.zeros_like(drawn)
-
-                def smooth_part(
-                    chosen: Bools, body: Compliance = body, less: Floats = drawn + near
-                ) -> Floats:
-                    there = body.to_points(markers, sites[chosen], moving=True)
-                    return there - less[:, np.repeat(chosen, 3)]
-
-                change = near + self.at_every_other(grid, smooth_part)
+                change = near + self._smooth_part(grid, body, markers, sites, drawn + near)
             whole = whole + share * change
         return np.asarray(whole / (1 + found["youngs_modulus"]))
+
+    def _smooth_part(
+        self,
+        grid: tuple[int, int],
+        body: Compliance,
+        markers: Points,
+        sites: Rectangles,
+        less: Floats,
+    ) -> Floats:
+        """Return (3n, 3k) mm/N, a body's compliance less a matrix that lies near it."""
+
+        def change(chosen: Bools) -> Floats:
+            there = body.to_points(markers, sites[chosen], moving=True)
+            return there - less[:, np.repeat(chosen, 3)]
+
+        return self.at_every_other(grid, change)
 
     @staticmethod
     def at_every_other(grid: tuple[int, int], change: Callable[[Bools], Floats]) -> Floats:

@@ -170,8 +170,9 @@ def _make(nominal: Scene) -> _Actual:
 def _prints(nominal: Scene, count: int) -> MarkerSet.Prints | None:
     """Draw sizes, shades, losses, shapes and colours of the markers, from a stream of their own."""
     room = nominal.tolerance
-    spreads = (room.print_diameter_pct, room.print_shade_pct, room.print_oval_pct)
-    if not any((*spreads, room.print_colour_pct, room.missing)):
+    sizes = room.print_diameter_pct or room.print_oval_pct
+    colours = room.print_shade_pct or room.print_colour_pct
+    if not (sizes or colours or room.missing):
         return None
     rng = Purpose.PRINT.stream(nominal.seed, 1)
 

@@ -127,13 +127,14 @@ class Ellipsoids:
         # A bead keeps its shape and turns with the rubber; a print strains with it.
         for name, layer in layers.items():
             rows = markers.of(name)
-            frames = _level_frames(markers.normals[rows])
+            normals = markers.normals[rows]
             if layer.kind == "bead":
                 rest, moved = np.eye(3), _turn(g[rows])
             else:
-                rest, moved = frames * np.array([1.0, 1.0, PRINT_THICKNESS]), np.eye(3) + g[rows]
+                sizes = np.array([1.0, 1.0, PRINT_THICKNESS])
+                rest, moved = _level_frames(normals) * sizes, np.eye(3) + g[rows]
             if prints is not None:
-                rest = _oval(frames, prints.longer[rows], prints.way_rad[rows]) @ rest
+                rest = _oval(normals, prints.longer[rows], prints.way_rad[rows]) @ rest
             axes[rows] = layer.diameter_mm / 2 * (moved @ rest)
             colour[rows] = layer.colour
             gloss[rows] = layer.gloss or 0.0
@@ -169,9 +170,10 @@ def _waves(count: int, seed: int) -> Floats:
     return np.concatenate([way, phase, np.full_like(phase, np.sqrt(2 / _WAVES))], axis=2)
 
 
-def _oval(frames: Floats, longer: Floats, way_rad: Floats) -> Floats:
-    """Return (m, 3, 3) maps that stretch by (m,) factors at (m,) angles between the first two
-    columns of frames, and compress by as much across."""
+def _oval(normals: Floats, longer: Floats, way_rad: Floats) -> Floats:
+    """Return (m, 3, 3) maps that stretch by (m,) factors at (m,) angles across normals (m, 3), and
+    compress by as much at right angles to that."""
+    frames = _level_frames(normals)
     cosine, sine = np.cos(way_rad)[:, None], np.sin(way_rad)[:, None]
     along = cosine * frames[:, :, 0] + sine * frames[:, :, 1]
     across = cosine * frames[:, :, 1] - sine * frames[:, :, 0]
