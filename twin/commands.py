@@ -868,7 +868,7 @@ def sweep(
     if batch.dry_run:
         from twin.study.sweep.sweep_run import estimate
 
-        yield from estimate(wanted, scene, workers=workers)
+        yield from estimate(wanted, scene, workers=workers, optimise=optimise)
         return
     from twin.study.sweep.sweep_report import write_report
     from twin.study.sweep.sweep_run import run_sweep

@@ -130,8 +130,8 @@ def make_folder(folder: Path, results: Sequence[str] = ()) -> None:
     """Make ``folder``, check that it is writable, and remove partial files of killed writers.
 
     Where it can't be made or written, or is named like a file, an `InputError` is raised; so it is
-    where it holds any of the ``results`` that will be written, but not the first, by which a
-    folder of such results is known.
+    where it holds a dataset, or any of the ``results`` that will be written, but not the first, by
+    which a folder of such results is known.
     """
     if folder.suffix.lower() in _FILE_ENDINGS and not folder.exists():
         raise InputError(
@@ -149,6 +149,10 @@ def make_folder(folder: Path, results: Sequence[str] = ()) -> None:
         raise TwinError.unwritable(folder, problem) from None
     if not os.access(folder, os.W_OK):
         raise InputError(f"{folder}: the output folder can't be written; give another")
+    if results and (folder / "meta" / "info.json").exists():
+        raise InputError(
+            f"{folder}: holds a dataset, and other results would mix with it; give another --out"
+        )
     there = [name for name in results if (folder / name).exists()]
     if there and results[0] not in there:
         raise InputError(

@@ -140,6 +140,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         ),
         ("sweep COMMA.toml", "not valid TOML"),
         ("sweep OFF.toml", "OFF.toml: is a scene, not a sweep"),
+        ("calibrate --layout-from NONE --pitch-mm -1", "--pitch-mm -1 mm: allowed are 0.01 to 100 mm"),
         ("scenes --pitch-mm 2", "--pitch-mm belongs to a new recipe: give --new NAME"),
         ("view BODY.stl -s seed=2", "BODY.stl: -s belongs to a scene"),
         ("reconstruct REST GONE*.png --calibration C", "GONE*.png: there is no such picture, folder"),

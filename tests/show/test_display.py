@@ -14,6 +14,7 @@ import twin
 from twin.results import Estimate, RunResult, Truth
 from twin.show.explain import LIMITS, explain
 from twin.show.figure_panels import Panel
+from twin.show.report import report
 
 
 def run_result(*, forces: bool = True) -> RunResult:
@@ -183,6 +184,10 @@ def test_a_number_has_a_sentence_its_unit_and_a_verdict() -> None:
     assert by_key["elastic.largest_displacement_mm"].sentence == "The marker that moves most moves by 0.3 mm."
     assert by_key["elastic.largest_displacement_mm"].verdict == ""
     assert by_key["force.centre_error_mm"].unit == "mm"
+    assert (by_key["tracking.matched"].unit, by_key["tracking.over_bound"].unit) == ("1", "")
+    page = report(RunResult(scene_toml="", score=SCORE))
+    for shown in (">5</data>", ">95 %</data>", ">0.1 mm</data>", ">3</data>"):
+        assert shown in page, "in the units of its sentences"
     verdicts = {key: one.verdict for key, one in by_key.items() if one.verdict}
     assert verdicts == {
         "elastic.force_error": "good",

@@ -123,7 +123,6 @@ def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, monkeypatch, says
     ("arguments", "words"),
     [
         (["--pitch-mm", "1", "--pitch-mm", "2"], "--pitch-mm has 2 numbers, and the picture shows 1 layer"),
-        (["--pitch-mm", "-1"], "--pitch-mm -1 mm: allowed are 0.01 to 100 mm"),
         (["--out", "x.npz"], "must end in .toml"),
         (["--method", "sato"], "--layout-from makes no calibration"),
         (["--scene", "gelpad_press", "--pitch-mm", "1"], "leave --pitch-mm and --depth-mm out"),

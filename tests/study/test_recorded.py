@@ -388,6 +388,7 @@ def test_overlay_pictures(folder):
     done = twin("rest.png", "press4.png", "--calibration", "flat.npz", "--overlay", "drawn", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert len(list((folder / "drawn").iterdir())) == 1, "drawings of another recording are replaced"
+    assert "--overlay drawn: the 1 drawing there, 000002_older.png and so on, will be replaced" in done.stderr
     drawn = np.array(Image.open(folder / "drawn" / "000001_press4.png"))
     assert drawn.shape == (SIZE[1], SIZE[0], 3)
     lines = int((drawn == [120, 255, 120]).all(axis=2).sum())

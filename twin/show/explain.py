@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from twin.show.html_page import digits, finite
+from twin.show.html_page import Unit, digits, finite
 
 WORDS: dict[str, dict[str, Any]] = tomllib.loads(
     Path(__file__).with_name("score_words.toml").read_text(encoding="utf-8")
@@ -21,14 +21,8 @@ WORDS: dict[str, dict[str, Any]] = tomllib.loads(
 LIMITS = {key: words["limits"] for key, words in WORDS.items() if "limits" in words}
 """Largest good and largest fair value; of the markers found, the share that is missing."""
 
-_COUNTS = ("tracking.gross", "tracking.false_positives")
-_FACTORS = ("tracking.over_bound",)
-
 NEARLY_INCOMPRESSIBLE = 0.45
 """Poisson's ratio from which a layer near the surface hardly moves sideways under a push."""
-
-ROUND_OFF = 1e-9
-"""Numbers below this are shown as 0: what a sum of doubles leaves is round-off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,16 +65,18 @@ def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
                     said = f"{name.removesuffix('_mm').replace('_', ' ')}: {none}."
                 found.append(_Finding(key=key, value=None, unit="", sentence=said, verdict=""))
             continue
-        amount, unit = _amount(key, value)
-        text = sentence.format(amount)
+        unit = Unit(key)
+        shown = unit.amount(value)
+        text = sentence.format(shown)
         verdict = _verdict(key, value)
         if key == "elastic.linearisation_error" and large_strain:
-            text = f"Large strain, which is included, moves the markers by {amount} of the largest "
+            text = f"Large strain, which is included, moves the markers by {shown} of the largest "
             text += "displacement more or less than linear theory."
             verdict = ""
         if key == "force.total_force_error" and verdict != "good":
             text = f"{text} {one_layer(scene_toml)}".rstrip()
-        found.append(_Finding(key=key, value=value, unit=unit, sentence=text, verdict=verdict))
+        stored = unit.name if unit.times == 1.0 else "1"
+        found.append(_Finding(key=key, value=value, unit=stored, sentence=text, verdict=verdict))
     return found
 
 
@@ -113,7 +109,7 @@ def _table(scene_toml: str, name: str) -> Mapping[str, Any]:
 def _good(key: str, limit: float) -> str:
     if key == "tracking.matched":
         return f"good: {digits(100 * (1 - limit))} % or more"
-    return f"good: up to {_amount(key, limit)[0]}" if limit else "good: none"
+    return f"good: up to {Unit(key).amount(limit)}" if limit else "good: none"
 
 
 def _verdict(key: str, value: float) -> str:
@@ -122,17 +118,3 @@ def _verdict(key: str, value: float) -> str:
     size = 1.0 - value if key == "tracking.matched" else abs(value)
     good, fair = LIMITS[key]
     return "good" if size <= good else "fair" if size <= fair else "poor"
-
-
-def _amount(key: str, value: float) -> tuple[str, str]:
-    """Return a number in words with its unit, and the unit of the number as it is stored."""
-    if key in _COUNTS:
-        return f"{value:.0f}", ""
-    if abs(value) < ROUND_OFF:
-        value = 0.0
-    if key in _FACTORS:
-        return digits(value), ""
-    for unit in ("mm", "px"):
-        if key.endswith(f"_{unit}"):
-            return f"{digits(value)} {unit}", unit
-    return f"{digits(100 * value)} %", "1"

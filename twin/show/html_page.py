@@ -18,6 +18,20 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Picture, eight_bits
+from twin.parts.part import UNITS
+
+_UNITS = {**UNITS, "deg": "°", "s": "s", "mm2": "mm²", "mm3": "mm³"}
+"""Unit of a key by its suffix."""
+
+_SHARES = (
+    *("_error", "_error_normal", "_error_tangential", "_error_axes"),
+    *("matched", "share", "ratio", "_strain", "_residual", "_stated"),
+    *("_over_probe_radius", "_over_thickness"),
+)
+"""Endings of keys that hold a ratio, in percent."""
+
+_ROUND_OFF = 1e-9
+"""Numbers below this are shown as 0: what a sum of doubles leaves is round-off."""
 
 
 def digits(value: float) -> str:
@@ -28,6 +42,38 @@ def digits(value: float) -> str:
     return text.replace("-", "−")
 
 
+class Unit:
+    """The unit in which a number of a run is shown, by its key: ``contact_radius_mm`` in mm.
+
+    Attributes
+    ----------
+    words, name
+        Of the key without its unit, and of the unit; this is empty of a bare number.
+    times
+        The size of a stored number in that unit: 100 of a ratio, which is shown in percent.
+    """
+
+    def __init__(self, key: str) -> None:
+        stem, _, suffix = key.rpartition("_")
+        self.words = key.replace("_", " ")
+        self.name = ""
+        self.times = 1.0
+        if stem and suffix in _UNITS:
+            self.words = stem.replace("_", " ")
+            self.name = _UNITS[suffix]
+        elif key.endswith(_SHARES):
+            self.name = "%"
+            self.times = 100.0
+
+    def amount(self, value: float) -> str:
+        """Return a number in words: ``1.2 %``, ``0.05 mm``, ``3``; whole numbers are counts."""
+        if isinstance(value, int) and self.times != 1.0:
+            return digits(value)
+        if self.name and abs(value) < _ROUND_OFF:
+            value = 0.0
+        return f"{digits(self.times * value)} {self.name}".rstrip()
+
+
 def finite(value: Any) -> float | None:
     """Return a number, the largest finite one of a list of them, or None if there is none."""
     if isinstance(value, bool) or value is None or isinstance(value, str | Mapping):
@@ -36,13 +82,6 @@ def finite(value: Any) -> float | None:
         numbers = [n for n in map(finite, value) if n is not None]
         return max(numbers, key=abs) if numbers else None
     return float(value) if math.isfinite(value) else None
-
-
-def cleaned(numbers: Sequence[float], scale: float = 0.0) -> list[float]:
-    """Return a vector's components with round-off (1e-9 of the largest, or of ``scale``) as
-    zero."""
-    largest = max(scale, *(abs(n) for n in numbers))
-    return [0.0 if abs(n) < 1e-9 * largest else n for n in numbers]
 
 
 def table(caption: str, heads: list[str], rows: list[tuple[str, list[str]]]) -> str:

@@ -21,25 +21,13 @@ from scipy.spatial.distance import pdist
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice, spacing
 from twin.files import png_bytes
-from twin.parts.part import UNITS
 from twin.results import RunResult, Truth
-from twin.show.explain import LIMITS, ROUND_OFF, WORDS, one_layer
-from twin.show.html_page import cleaned, digits, figure, finite, page, table, two_columns
+from twin.show.explain import LIMITS, WORDS, one_layer
+from twin.show.html_page import Unit, digits, figure, finite, page, table, two_columns
 from twin.show.svg_plots import Axes
 
 _STAGES = ("elastic", "tracking", "force")
 """Order of the stages in the table of errors; others follow."""
-
-_UNITS = {**UNITS, "deg": "°", "s": "s", "mm2": "mm²", "mm3": "mm³"}
-"""Unit of a key by its suffix."""
-
-
-_SHARES = (
-    *("_error", "_error_normal", "_error_tangential", "_error_axes"),
-    *("matched", "share", "ratio", "_strain", "_residual", "_stated"),
-    *("_over_probe_radius", "_over_thickness", "over_bound"),
-)
-"""Endings of keys that hold a ratio, in percent."""
 
 
 def report(result: RunResult) -> str:
@@ -71,11 +59,11 @@ def _verdict(result: RunResult) -> str:
     if sd is not None:
         said.append(f"the sensor follows its markers to {digits(sd)} px (standard deviation)")
     if (total := _figure(score, "force", "total_force_error")) is not None:
-        said.append(f"its total force is off by {_amount('_error', total)}")
+        said.append(f"its total force is off by {Unit('_error').amount(total)}")
     if centre is not None:
         said.append(f"it places the centre of the contact {digits(centre)} mm from the truth")
     if (field := _figure(score, "force", "field_error")) is not None:
-        said.append(f"its force field is off by {_amount('_error', field)}, site by site")
+        said.append(f"its force field is off by {Unit('_error').amount(field)}, site by site")
     if not said:
         said = [_without_score(result)]
     text = said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
@@ -319,7 +307,7 @@ def _sentence(text: str) -> str:
 
 def _facts(facts: Mapping[str, Any]) -> str:
     rows = [
-        f"<dt>{_as_html('', _split_unit(key)[0])}</dt><dd>{_as_html(key, value)}</dd>"
+        f"<dt>{_as_html('', Unit(key).words)}</dt><dd>{_as_html(key, value)}</dd>"
         for key, value in _calm(facts).items()
     ]
     return f"<dl>{''.join(rows)}</dl>" if rows else ""
@@ -334,14 +322,6 @@ def _calm(facts: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _split_unit(key: str) -> tuple[str, str]:
-    """Return a key's words and its unit: ``contact_radius_mm`` -> ``("contact radius", "mm")``."""
-    stem, _, suffix = key.rpartition("_")
-    if stem and suffix in _UNITS:
-        return stem.replace("_", " "), _UNITS[suffix]
-    return key.replace("_", " "), ""
-
-
 def _name_of(key: str) -> tuple[str, str]:
     """Return name and meaning of ``stage.key``; ``stage.group.key`` means the same."""
     stage, _, rest = key.partition(".")
@@ -349,16 +329,8 @@ def _name_of(key: str) -> tuple[str, str]:
     if not last:
         return "all figures", ""
     words = WORDS.get(f"{stage}.{last}", {})
-    name = words.get("name", _split_unit(last)[0])
+    name = words.get("name", Unit(last).words)
     return " ".join([*(g.replace("_", " ") + ":" for g in groups), name]), words.get("meaning", "")
-
-
-def _amount(key: str, value: float) -> str:
-    """Return a number in the unit of its key: ``1.2 %``, ``0.05 mm``, ``3``."""
-    if not isinstance(value, int) and key.endswith(_SHARES):
-        return f"{digits(0.0 if abs(value) < ROUND_OFF else 100 * value)} %"
-    unit = _split_unit(key)[1]
-    return digits(value) + (f" {unit}" if unit else "")
 
 
 def _as_html(key: str, value: Any) -> str:
@@ -371,12 +343,12 @@ def _as_html(key: str, value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int | float):
-        return f'<data value="{value!r}">{_amount(key, value)}</data>'
+        return f'<data value="{value!r}">{Unit(key).amount(value)}</data>'
     if isinstance(value, Mapping):
         kind, between = ("_error", ", ") if key.endswith("error") else ("", "<br>")
         rows = []
         for k, v in value.items():
-            name, inside = escape(_split_unit(str(k))[0]), _as_html(f"{k}{kind}", v)
+            name, inside = escape(Unit(str(k)).words), _as_html(f"{k}{kind}", v)
             rows.append(f"{name} ({inside})" if isinstance(v, Mapping) else f"{name}: {inside}")
         return between.join(rows) or "none"
     if isinstance(value, list | tuple):
@@ -389,11 +361,18 @@ def _list(key: str, values: Sequence[Any]) -> str:
     if all(
         isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values
     ):
-        unit, times = ("%", 100.0) if key.endswith(_SHARES) else (_split_unit(key)[1], 1.0)
-        shown = [(v, digits(times * v)) for v in cleaned(values)]
+        unit = Unit(key)
+        shown = [(v, digits(unit.times * v)) for v in _cleaned(values)]
         numbers = ", ".join(f'<data value="{v!r}">{text}</data>' for v, text in shown)
-        return f"({numbers})" + (f" {unit}" if unit else "")
+        return f"({numbers}) {unit.name}".rstrip()
     return "<ul>" + "".join(f"<li>{_as_html(key, v)}</li>" for v in values) + "</ul>"
+
+
+def _cleaned(numbers: Sequence[float], scale: float = 0.0) -> list[float]:
+    """Return a vector's components with round-off (1e-9 of the largest, or of ``scale``) as
+    zero."""
+    largest = max(scale, *(abs(n) for n in numbers))
+    return [0.0 if abs(n) < 1e-9 * largest else n for n in numbers]
 
 
 _GROSS_PX = 1.0
@@ -698,9 +677,9 @@ def _resultants(result: RunResult) -> str:
         return ""
     heads = [head for head, *_ in totals]
     # a torque below a billionth of the force times a millimetre is round-off
-    forces = [cleaned(force.tolist()) for _, force, _ in totals]
+    forces = [_cleaned(force.tolist()) for _, force, _ in totals]
     torques = [
-        cleaned(torque.tolist(), 1.0 * float(np.abs(force).max())) for _, force, torque in totals
+        _cleaned(torque.tolist(), 1.0 * float(np.abs(force).max())) for _, force, torque in totals
     ]
     columns = [
         [*one, *other] for one, other in zip(_aligned(forces), _aligned(torques), strict=True)

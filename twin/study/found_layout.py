@@ -64,6 +64,10 @@ def layout_to_files(
             raise InputError(f"--{option} {path}: is what is read; give another name")
     if scene is not None and (pitch_mm or depth_mm):
         raise InputError("--scene gives pitches and depths: leave --pitch-mm and --depth-mm out")
+    for option, values in (("pitch-mm", pitch_mm), ("depth-mm", depth_mm)):
+        for value in values:
+            if not 0.01 <= value <= LARGEST_MM:
+                raise InputError(f"--{option} {value:g} mm: allowed are 0.01 to {LARGEST_MM:g} mm")
     if scene is not None and scene.camera is None:
         raise RecipeError("this scene has no [camera] table, so it gives no pitch in a picture")
     image = read_picture(picture)
@@ -143,9 +147,6 @@ def _given(
     count = len(found.layers)
     lists: list[list[float | None]] = []
     for option, values in (("pitch-mm", pitch_mm), ("depth-mm", depth_mm)):
-        for value in values:
-            if not 0.01 <= value <= LARGEST_MM:
-                raise InputError(f"--{option} {value:g} mm: allowed are 0.01 to {LARGEST_MM:g} mm")
         if len(values) not in (0, 1, count):
             raise InputError(
                 f"--{option} has {len(values)} numbers, and the picture shows "

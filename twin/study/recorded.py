@@ -30,6 +30,7 @@ from twin.sense.calibration import Calibration, read_calibration
 from twin.sense.inverse import METHODS
 from twin.sense.reconstruct import Bump, Field, check_options, reconstruct
 from twin.sense.track import Found, Tracker
+from twin.study.batch.pool import counted
 from twin.study.frames import VIDEOS, Frame, VideoWriter, read_numbers, read_picture
 from twin.theory.relaxation import Hereditary
 
@@ -720,13 +721,20 @@ class _OverlayFile:
         make_folder(target.parent if self._film or self._one else target)
         self._writer: VideoWriter | None = None
         self._times = _MOST_TIMES
+        # removed with the first frame, as a job without any leaves them
+        self._older = [] if self._film or self._one else sorted(target.glob("[0-9]" * 6 + "_*.png"))
+        if self._older:
+            print(
+                f"twin: --overlay {target}: the {counted(len(self._older), 'drawing')} there, "
+                f"{self._older[0].name} and so on, will be replaced",
+                file=sys.stderr,
+            )
 
     def add(self, number: int, result: _FrameResult) -> None:
         """Draw frame ``number``, counted from 1; one that can't be read is left out. In a folder
         the first one takes the place of earlier drawings."""
-        if number == 1 and not (self._film or self._one):
-            for older in self._target.glob("[0-9]" * 6 + "_*.png"):
-                older.unlink()
+        while self._older:
+            self._older.pop().unlink(missing_ok=True)
         if result.picture is None:
             return
         found, field = result.found, result.field

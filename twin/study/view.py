@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.arrays import Ints, Points
+from twin.display import vector
 from twin.parts.load import Rectangles
 from twin.show.body_view import BodyView
-from twin.show.html_page import cleaned
 from twin.study.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -155,14 +155,13 @@ def _frame(
 
 def _said(state: ContactState) -> str:
     """Return what is under one probe."""
-    force = ", ".join(f"{f:.3g}" for f in cleaned(state.force_n.tolist()))
     slips = "no friction"
     if state.friction:
         slips = f"{100 * np.mean(state.slip):.0f} % of the contact slips"
     return (
-        f"force ({force}) N, indentation {state.indentation_mm:.3g} mm, contact radius "
-        f"{state.contact_radius_mm:.3g} mm, largest pressure {state.peak_pressure_mpa:.3g} MPa, "
-        f"{slips}"
+        f"force {vector(state.force_n, 'N')}, indentation {state.indentation_mm:.3g} mm, "
+        f"contact radius {state.contact_radius_mm:.3g} mm, largest pressure "
+        f"{state.peak_pressure_mpa:.3g} MPa, {slips}"
     )
 
 

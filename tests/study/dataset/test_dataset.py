@@ -248,10 +248,11 @@ def test_two_writers_are_refused(tmp_path: Path) -> None:
     lock = only_writer(folder, folder / "meta" / "writer.lock")
     with lock, pytest.raises(InputError, match="another process"):
         make(folder)
+    folder.mkdir()
     (folder / "README.md").write_text("mine")
     with pytest.raises(InputError, match=r"has README.md but no meta/info.json"):
         make(folder)
-    assert (folder / "README.md").read_text() == "mine"
+    assert [each.name for each in folder.iterdir()] == ["README.md"], "a refused dataset leaves nothing"
 
 
 def test_another_scene_columns_or_versions_are_refused(made: Path, tmp_path: Path) -> None:

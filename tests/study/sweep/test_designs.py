@@ -1,5 +1,6 @@
 """Designs: which there are, what becomes of scenes, and what is said about bad sweeps."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -108,8 +109,13 @@ def test_a_single_layer_is_judged_by_the_full_chain_in_a_folder_of_its_own(tmp_p
     (tmp_path / "run" / "report.html").write_text("of a run")
     with pytest.raises(InputError, match=r"holds report\.html, which would be replaced"):
         run_sweep(sweep, scene, tmp_path / "run")
-    with pytest.raises(RecipeError, match="--optimise searches by the closed form or linear information"):
-        run_sweep(sweep, scene, tmp_path / "out", optimise=True)
+    for search in (partial(run_sweep, folder=tmp_path / "out"), estimate):
+        with pytest.raises(RecipeError, match="--optimise searches by the closed form or linear information"):
+            search(sweep, scene, optimise=True)
+    (tmp_path / "data" / "meta").mkdir(parents=True)
+    (tmp_path / "data" / "meta" / "info.json").write_text("{}")
+    with pytest.raises(InputError, match="data: holds a dataset"):
+        run_sweep(sweep, scene, tmp_path / "data")
     assert not (tmp_path / "out").exists()
     assert load_sweep(path, {"reconstruction.method": "smooth"})[0].ladder == ("closed", "linear")
 

@@ -440,8 +440,10 @@ def _outcome(number: int, future: Any) -> Job.Done:
 @contextmanager
 def only_writer(folder: Path, lock: Path) -> Iterator[None]:
     """Make a folder and be its only writer, by the operating system's lock on the empty file
-    ``lock``, which ends with its owner; remove what a killed writer left. `InputError` where
-    another process is writing or the folder can't be written."""
+    ``lock``, which ends with its owner; remove what a killed writer left, and the folders made
+    here if they stay empty. `InputError` where another process is writing or the folder can't be
+    written."""
+    made = [each for each in (lock.parent, folder) if not each.exists()]
     make_folder(folder)
     make_folder(lock.parent)
     handle = _locked(lock)
@@ -453,6 +455,9 @@ def only_writer(folder: Path, lock: Path) -> Iterator[None]:
         with suppress(OSError):  # Windows removes no open file
             lock.unlink()
         os.close(handle)
+        with suppress(OSError):  # not empty
+            for each in made:
+                each.rmdir()
 
 
 def _locked(path: Path) -> int:

@@ -150,8 +150,8 @@ class Swept:
         return linear(design, View.of(design), designs.sweep, Bodies.of(designs.sweep), pushes)[1]
 
 
-def _check(sweep: Sweep, scene: Scene) -> None:
-    """Raise a `RecipeError` with all reasons why a sweep can't be run."""
+def _check(sweep: Sweep, scene: Scene, optimise: bool) -> None:
+    """Raise a `RecipeError` with all reasons why a sweep, or its search, can't be run."""
     problems = []
     solved = sweep.ladder != ("closed",)
     where = f"scene = '{sweep.scene}'"
@@ -189,6 +189,11 @@ def _check(sweep: Sweep, scene: Scene) -> None:
         )
     if scene.material.relaxation:
         problems.append("material.relaxation: a sweep's loads take no time; leave it out")
+    if optimise and sweep.ladder == ("full",):
+        problems.append(
+            "fidelity = ['full']: --optimise searches by the closed form or linear information; "
+            "add 'closed' or 'linear', or sample designs without --optimise"
+        )
     if problems:
         raise RecipeError(problems)
     Bodies.refuse(scene)
@@ -214,12 +219,7 @@ def run_sweep(
         The folder can't be written, another process is writing there, or the scheduler can't be
         reached.
     """
-    _check(sweep, scene)
-    if optimise and sweep.ladder == ("full",):
-        raise RecipeError(
-            "fidelity = ['full']: --optimise searches by the closed form or linear information; "
-            "add 'closed' or 'linear', or sample designs without --optimise"
-        )
+    _check(sweep, scene, optimise)
     designs = Designs.of(sweep, scene)
     if scheduler is not None:
         scheduler.reach()
@@ -460,10 +460,11 @@ def _scored(sweep: Sweep, designs: Designs, stage: str, rows: Rows) -> Floats:
     return np.where(ok & np.isfinite(score), np.minimum(score, WORST / 2), WORST)
 
 
-def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[Fact]:
-    """Return what a sweep would do and, unless ``workers`` is 0, how long it takes, from the CPU
-    seconds of a few designs; `RecipeError` where it can't be run, or no design is possible."""
-    facts, good, designs = _overview(sweep, scene)
+def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1, optimise: bool = False) -> list[Fact]:
+    """Return what a sweep, or a search, would do and, unless ``workers`` is 0, how long it takes,
+    from the CPU seconds of a few designs; `RecipeError` where it can't be run, or no design is
+    possible."""
+    facts, good, designs = _overview(sweep, scene, optimise)
     left = len(good)
     for stage in sweep.ladder if workers else ():
         if stage == "closed" or not left:
@@ -490,9 +491,9 @@ def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[Fact]:
     return facts
 
 
-def _overview(sweep: Sweep, scene: Scene) -> tuple[list[Fact], Ints, Designs]:
+def _overview(sweep: Sweep, scene: Scene, optimise: bool) -> tuple[list[Fact], Ints, Designs]:
     """Return facts about a sweep's designs, the numbers of those that are possible, and all."""
-    _check(sweep, scene)
+    _check(sweep, scene, optimise)
     designs = Designs.of(sweep, scene)
     found = closed(designs)[1]
     good = np.flatnonzero(found == "")
