@@ -45,9 +45,8 @@ app = App(
 
 
 def _add(command: Callable[..., Iterator[Any]]) -> None:
-    """Add a command, whose docstring holds the help of it and of its parameters, and examples. It
-    prints the lines that it yields as they come; with ``--json``, lines, records, what went to
-    standard error, and what went wrong, as one object at the end."""
+    """Add a command; its docstring holds the help of it and of its parameters. It prints the lines
+    that it yields as they come; with ``--json`` all of its output is one object at the end."""
 
     @wraps(command)
     def printing(*arguments: Any, json_: bool = False, **options: Any) -> None:
@@ -114,7 +113,6 @@ class _Notes(io.StringIO):
 
 
 def _print_json(name: str, output: Iterator[Any]) -> None:
-    """Print what a command yields as one JSON object."""
     notes = _Notes()
     lines: list[str] = []
     rows: list[Any] = []
@@ -163,7 +161,6 @@ NARROWEST = 20
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    """Print a warning as one line on stderr, without the place in the source."""
     print(f"twin: warning: {message}", file=sys.stderr)
 
 
@@ -186,7 +183,7 @@ def _usage_error(problem: CycloptsError) -> str:
 
 
 def _without_threads(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments without ``--threads N``, which goes to ``TWIN_THREADS``."""
+    """Return the arguments without ``--threads N``, which sets ``TWIN_THREADS``."""
     left: list[str] = []
     given = iter(arguments)
     for each in given:
@@ -206,7 +203,6 @@ def _interrupted() -> int:
 
 
 def _folder_exists() -> bool:
-    """Return whether the current folder still exists."""
     try:
         os.getcwd()
     except FileNotFoundError:

@@ -137,15 +137,14 @@ def _progress() -> Progress | None:
 
 
 def _load(scene: str, overrides: Sequence[str]) -> Scene:
-    """Return a scene with ``key.path=value`` overrides."""
     from twin.study.recipe import load_scene, parse_overrides
 
     return load_scene(scene, parse_overrides(overrides))
 
 
 def _file_name(scene: Path, overrides: Sequence[str]) -> str:
-    """Return a name for output of a scene, without suffix: other overrides, another name. A hash
-    stands at its end where characters, special to file systems or shells, become ``_``."""
+    """Return a name for output of a scene, without suffix: other overrides, another name.
+    Characters that are special to file systems or shells become ``_``, and a hash is added."""
     if not overrides:
         return scene.stem
     whole = ",".join(overrides)

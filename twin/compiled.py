@@ -189,7 +189,7 @@ class _Compiling(event.Listener):  # type: ignore[misc]
     @contextmanager
     def compiled_ahead(self, module: str) -> Iterator[None]:
         """Within the block, have a second process run a module ("" for none) once compiling takes
-        long, when the line is printed: what it compiles is stored when this process comes to it."""
+        long, so that its compiled code is stored when this process needs it."""
         self._ahead = module
         try:
             yield

@@ -194,14 +194,13 @@ class _Nearest:
         return cls(one, way, np.zeros_like(one), np.zeros_like(way), np.zeros(shape, bool), bent)
 
     def fill(self, place: Any, found: _Nearest) -> None:
-        """Set some of the points."""
         for name, array in vars(found).items():
             getattr(self, name)[place] = array
 
     def limit(self, depth: Floats, bent: Floats) -> None:
-        """Take the plain distance where, inside a body with dents, a piece's plane cuts other
-        parts: where its distance is less than ``depth``, that to the whole surface, which is
-        ``bent`` there: between flat and bent triangles no other piece is far away."""
+        """Take the plain distance where, in a body with dents, a piece's plane cuts other parts:
+        where it is less than ``depth``, the distance to the whole surface, which is ``bent``
+        there."""
         room = _TOUCHING_MM + np.maximum(self.bent, bent)
         far_away = (depth > room) | (self.distance < depth - room)
         self.distance[far_away] = self.plain[far_away]
@@ -352,9 +351,9 @@ class Pieces:
     def _bent(
         self, triangle: Ints, foot: Points, feature: Ints, plain: Floats, inward: Floats
     ) -> tuple[Floats, Floats]:
-        """Return the heights (n,) of bent triangles over the places ``foot`` (n, 3) of flat ones
-        nearest to points ``plain`` (n,) away, and the gradients (n, 3) of the distance from them,
-        not of unit length; of the flat ones they are ``inward`` (n, 3)."""
+        """Return heights (n,) of bent triangles over the places ``foot`` (n, 3) of flat ones
+        nearest to points ``plain`` (n,) away, and gradients (n, 3) of the distance, not of unit
+        length; of the flat ones these are ``inward`` (n, 3)."""
         assert self._rises is not None
         rises = self._rises[triangle]
         height, slope = _heights(self._corners[triangle], rises, foot)
@@ -528,8 +527,7 @@ def _corner_normals(
     triangles: Ints, sheet: Ints, sides: Floats, face: Floats, whole: Floats
 ) -> Floats:
     """Return (m, 3, 3) normals at the corners of triangles, each of its own smooth ``sheet`` (m,);
-    those of plane faces much larger than others, ``whole`` (m,) being their areas, where such
-    meet."""
+    next to plane faces much larger than others, those faces' own. ``whole`` (m,) are areas."""
     vertices = int(triangles.max()) + 1
     _, corner = np.unique(triangles + vertices * sheet[:, None], return_inverse=True)
     corner = corner.reshape(-1, 3)

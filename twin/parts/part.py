@@ -169,7 +169,7 @@ class Part(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _true_is_no_number(cls, table: Any) -> Any:
-        """Make ``true``, which would be taken as 1, a word where only a number fits, so that it is
+        """Make ``true``, which would be taken as 1, a word where only a number fits: it is then
         refused."""
         if not isinstance(table, Mapping):
             return table

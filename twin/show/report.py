@@ -52,7 +52,6 @@ def report(result: RunResult) -> str:
 
 
 def _verdict(result: RunResult) -> str:
-    """Return what the run came to, in one sentence."""
     score = result.score or {}
     said = []
     sd, centre = _figure(score, "tracking", "sd_px"), _figure(score, "force", "centre_error_mm")
@@ -243,8 +242,7 @@ def _errors(score: Mapping[str, Any] | None) -> str:
 
 
 def _flat(key: str, value: Any) -> list[tuple[str, Any]]:
-    """Return every figure of a nested table under its dotted key; None for numbers that aren't
-    finite."""
+    """Return a nested table's finite figures by dotted key, None for others."""
     if isinstance(value, Mapping):
         return [row for k, v in value.items() for row in _flat(f"{key}.{k}", v)]
     numbers = isinstance(value, list | tuple | np.ndarray | float | np.floating)
@@ -289,7 +287,7 @@ def _is_alarm(key: str, value: Any) -> bool:
 
 
 def _alarms(facts: Mapping[str, Any]) -> list[str]:
-    """Return the warnings among the facts: they stand at the top, where the numbers are read."""
+    """Return the warnings among the facts."""
     found: list[str] = []
     for key, value in facts.items():
         if isinstance(value, Mapping):
@@ -314,7 +312,7 @@ def _facts(facts: Mapping[str, Any]) -> str:
 
 
 def _calm(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the facts without the warnings, which stand at the top."""
+    """Return the facts without the warnings."""
     return {
         key: _calm(value) if isinstance(value, Mapping) else value
         for key, value in facts.items()
@@ -381,7 +379,7 @@ _GROSS_PX = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class _Sighting:
-    """(n,) markers in the picture, px, NaN where unknown, and whether a tracker was run at all."""
+    """(n,) markers in the picture, px, NaN where unknown; whether a tracker was run."""
 
     layer: np.ndarray
     true_rest_px: Pixels
@@ -400,7 +398,7 @@ class _Sighting:
 
 
 def _sighting(result: RunResult) -> _Sighting | None:
-    """Return what a run knows of its markers in the picture; None if it knows nothing."""
+    """Return what a run knows of its markers in the picture, if anything."""
     truth = result.truth if result.truth and len(result.truth.marker_rest_px) else None
     found = result.estimate if result.estimate and len(result.estimate.marker_rest_px) else None
     known = truth or found
@@ -423,8 +421,7 @@ def _sighting(result: RunResult) -> _Sighting | None:
 
 
 def _true_pixels(truth: Truth) -> tuple[Pixels, Pixels]:
-    """Return (n, 2) rest places and shifts, px, of the visible outlines, which a tracker sees, else
-    of the centres."""
+    """Return (n, 2) rest places and shifts, px, of the visible outlines, else of the centres."""
     rest, pressed = truth.marker_outline_rest_px, truth.marker_outline_pressed_px
     if not (len(rest) and len(pressed)):
         rest, pressed = truth.marker_rest_px, truth.marker_pressed_px
@@ -477,7 +474,6 @@ def _shifts(seen: _Sighting, axes: Axes, scale: float, name: str, style: str, ma
 
 
 def _error_map(seen: _Sighting, axes: Axes) -> str:
-    """Return the map of tracked minus true shifts."""
     error = seen.tracked_shift_px - seen.true_shift_px
     size = np.hypot(error[:, 0], error[:, 1])
     fine = size <= _GROSS_PX
@@ -805,7 +801,7 @@ def _longest(vectors: Floats) -> float:
 
 
 def _magnification(axes: Axes, names: np.ndarray, places: Floats, size: float) -> float:
-    """Return the round factor at which an arrow of ``size`` is about one pitch of a layer long."""
+    """Return the round factor at which an arrow of ``size`` is about a layer's pitch long."""
     pitch = min(spacing(places[mask]) for _, _, mask in _layers(names))
     return nice(1.5 * max(pitch, 20 / axes.per_unit) / size) if size > 0 else 1.0
 

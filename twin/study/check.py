@@ -153,7 +153,7 @@ def _check_dataset(scene: Scene) -> list[str]:
 
 
 def _unsourced(part: Part, path: str = "") -> list[str]:
-    """Return the dotted keys of all numbers given in a recipe without provenance."""
+    """Return the dotted keys of numbers given in a recipe without provenance."""
     found = [f"{path}{key}" for key in part.unsourced()]
     for key in type(part).model_fields:
         value = getattr(part, key)

@@ -50,19 +50,11 @@ _KEPT = 8
 
 
 def _in_parts(press: Press, ends: Sequence[Sequence[float]]) -> Press:
-    """Return the press with every step of its path, and of further probes', in parts.
-
-    Forces and torques grow from those of the step before, motions, turns and seconds are shared
-    out; what was held by motion before takes its force at once. A probe that is lifted by a force
-    of 0 leaves at the end of the step. An oblique press without steps is left as it is.
-
-    Parameters
-    ----------
-    press
-        The press.
-    ends
-        For each step the shares of it at which its parts end, rising to 1.
-    """
+    """Return the press with every step of its path, and of further probes', in parts. Forces and
+    torques grow from those of the step before, motions, turns and seconds are shared out; what was
+    held by motion before takes its force at once. A probe that is lifted by a force of 0 leaves at
+    the end of the step. An oblique press without steps is left as it is. ``ends`` are for each step
+    the shares of it, rising to 1, at which its parts end."""
     if press.direction is not None and not press.steps:
         return press
     before = Step(force_n=(0.0, 0.0, 0.0), torque_nmm=(0.0, 0.0, 0.0))
@@ -328,7 +320,6 @@ class _Filming:
     """
 
     def __init__(self, scene: Scene, folder: Path, progress: Progress, h264: bool) -> None:
-        """Refuse what can't be filmed."""
         from twin.study.frames import VideoWriter
 
         if h264:
@@ -350,7 +341,6 @@ class _Filming:
             )
 
     def press(self) -> None:
-        """Solve the press at every frame's time."""
         assert self.scene.press is not None
         press, ends_s = at_frames(self.scene.press, self.rate)
         self.sensor = sensor = Sensor(self.scene, self.progress)
@@ -364,7 +354,7 @@ class _Filming:
         self.count = int(self.exposures.time_s[-1] * self.rate + _SAME_S) + 1
 
     def prepare_folder(self) -> None:
-        """Keep what an interrupted film left, remove all else of an older one, and write the scene
+        """Keep what an interrupted film left, remove the rest of an older one, and write the scene
         and its rest pictures."""
         from twin.study.frames import VideoWriter
 
@@ -388,10 +378,8 @@ class _Filming:
             write_whole(name, png_bytes(rest))
 
     def take_pictures(self) -> None:
-        """Take the pictures that are not there yet.
-
-        A killed film keeps its truth up to the last write, which takes a twentieth of the time.
-        """
+        """Take the pictures that are missing. A killed film keeps its truth up to the last write,
+        which takes a twentieth of the time."""
         written = time.monotonic()
         took = 0.0
         try:
@@ -410,7 +398,6 @@ class _Filming:
                 self._write_truth()
 
     def encode(self) -> None:
-        """Make a video of the pictures, which go."""
         from twin.study.frames import VideoWriter, read_picture
 
         camera = self.scene.camera

@@ -395,16 +395,13 @@ class _Loopback:
 
     @property
     def port(self) -> int:
-        """The port it listens on."""
         return int(self._server.server_address[1])
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
     def serve(self) -> None:
-        """Answer until interrupted."""
         listener = threading.Thread(
             target=self._server.serve_forever, name="twin-loopback", daemon=True
         )
@@ -430,7 +427,7 @@ class _Server(ThreadingHTTPServer):
     jobs: queue.SimpleQueue[_Job]
 
     def handle_error(self, *_: object) -> None:
-        """Say nothing of a browser that went away in the middle of an answer."""
+        """Say nothing of a browser that went away."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -502,7 +499,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def version_string(self) -> str:
-        """Name no versions."""
         return "twin"
 
     def log_message(self, *_: object) -> None:

@@ -140,7 +140,6 @@ def _fov(pad: Pad) -> float:
 
 
 def _plate_mm(distance: float) -> float:
-    """Return the thickness of the plate that the pad lies on, mm."""
     return min(PLATE_MM, distance / 4)
 
 
@@ -166,10 +165,7 @@ def _layer_tables(
     pad: Pad, layers: list[tuple[float, float, float]], distance: float, plate: float, focal: float
 ) -> tuple[str, tuple[float, float], list[str]]:
     """Return the tables of the layers, what the dots of the first one span along x and y, mm, and a
-    line on how many more of it fit on the pad.
-
-    There are as many dots as the camera sees, on the pad without its border.
-    """
+    line on how many more of it fit on the pad. There are as many dots as the camera sees."""
     *sides, thickness = pad.size_mm
     extent = (0.0, 0.0)
     text, unseen = "", []

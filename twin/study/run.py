@@ -264,7 +264,6 @@ class _Stages:
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[None]:
-        """Say that a stage begins, and keep how long it takes."""
         if self.sensor.progress is not None:
             self.sensor.progress(name, self._names.index(name) / len(self._names))
         started = time.perf_counter()
@@ -291,7 +290,6 @@ class _Stages:
         self.truth = _truth(sensor, self.motion, self.patches)
 
     def pictures(self) -> None:
-        """Draw the rest and the pressed picture, and add the true outlines in them to the truth."""
         with self._stage("rest picture"):
             self.rest = self.sensor.picture(None)
         with self._stage("pressed picture"):
@@ -315,7 +313,6 @@ class _Stages:
                 self.failures |= {"tracking": str(problem), "force": "nothing was tracked"}
 
     def reconstruct(self) -> None:
-        """Compute the forces from the shifts, if there are any."""
         if self.found is None or self.scene.reconstruction is None:
             return
         from twin.sense.reconstruct import reconstruct
@@ -336,7 +333,6 @@ class _Stages:
 
     @cached_property
     def estimate(self) -> Estimate | None:
-        """What the sensor's software found; None where it tracked nothing."""
         return _estimate(self.found, self.field)
 
     def judge_truth(self) -> None:
@@ -350,7 +346,6 @@ class _Stages:
                 self.state = replace(self.state, validity=self.sensor.validity(self.state))
 
     def score(self) -> dict[str, Any]:
-        """Return the errors by stage."""
         from twin.judge.score import force_score, score, tracking_score
 
         with self._stage("score"):
@@ -374,7 +369,6 @@ class _Stages:
         return errors
 
     def result(self, errors: dict[str, Any]) -> RunResult:
-        """Return all that was found, with ``errors`` of `score`."""
         return RunResult(
             scene_toml=self.scene.to_toml(),
             truth=self.truth,
@@ -593,8 +587,7 @@ def _press_facts(state: ContactState) -> dict[str, Any]:
 
 
 def _course(scene: Scene, state: ContactState, ends_s: Floats | None) -> dict[str, Any]:
-    """Return force and indentation at the end of every step, or part of one, where these take
-    time."""
+    """Return force and indentation at the end of every step, or part of one, in time."""
     if scene.press is None or not any(step.seconds for step in scene.press.path):
         return {}
     times = accumulate(step.seconds for step in scene.press.path) if ends_s is None else ends_s

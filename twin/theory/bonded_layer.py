@@ -147,9 +147,9 @@ class BondedLayer:
         """Return places (c, 3) of point forces that stand for uniform rectangles, and their shares
         of each (c, k).
 
-        v is analytic within one thickness of every force at least, so that n Gauss points on the
-        half side a are exact to about (H/a + sqrt(1 + (H/a)^2))^(-2 n). Where they are more than
-        the nodes of a grid with `_NODES` per thickness, v is interpolated on that grid.
+        v is analytic within one thickness of every force, so that n Gauss points on the half side a
+        are exact to about (H/a + sqrt(1 + (H/a)^2))^(-2 n). Where they outnumber the nodes of a
+        grid with `_NODES` per thickness, v is interpolated on that grid.
         """
         # Gauss points on every rectangle, more of them on wide ones.
         number = 1
@@ -231,11 +231,11 @@ class BondedLayer:
 
 @lru_cache(maxsize=8)
 def _grid_of(nu: float) -> Floats:
-    """Return (r, z, 7) the functions f of `_compliance` and `_near` for G = H = 1.
+    """Return (r, z, 7) the functions f of `_compliance` and `_near` for G = H = 1, at r = (i -
+    _STENCIL / 2) / _CELLS and z = (j - _STENCIL / 2) / _CELLS.
 
-    They are given at r = (i - _STENCIL / 2) / _CELLS and z = (j - _STENCIL / 2) / _CELLS, up to as
-    much beyond the ends, so that all interpolation is in the middle of its stencil: v is analytic
-    beyond the faces too, up to z = 2 H.
+    The grid goes on beyond its ends, so that all interpolation is in the middle of a stencil: v is
+    analytic beyond the faces too, up to z = 2 H.
     """
     r, depths = (
         (np.arange(round(reach * _CELLS) + _STENCIL + 1) - _STENCIL // 2) / _CELLS

@@ -151,7 +151,7 @@ def stress(points: Points, load: Rectangles, poisson_ratio: float) -> Floats:
 
 
 def _scale(youngs_modulus_mpa: float, poisson_ratio: float) -> float:
-    """Return c = (1 + nu) / (2 pi E), mm2/N: what the kernels leave out."""
+    """Return c = (1 + nu) / (2 pi E), mm2/N."""
     return (1.0 + poisson_ratio) / (2.0 * math.pi * youngs_modulus_mpa)
 
 
@@ -187,10 +187,7 @@ def _local(point: Floats, centre: Floats, frame: Floats) -> tuple[float, float, 
 @njit(cache=True, fastmath={"reassoc", "contract"})
 def _of_point_forces(points: Floats, centre: Floats, force: Floats, k: float, out: Floats) -> None:
     """Add to ``out`` (3, n) at ``points`` (3, n) the sums over forces (3, t) at ``centre`` (3, t),
-    all in one frame.
-
-    Points run innermost, so that several are done at once: a pair takes a thirtieth of the time.
-    """
+    all in one frame. Points run innermost, for the vector unit."""
     for t in range(centre.shape[1]):
         x, y, z = centre[0, t], centre[1, t], centre[2, t]
         fx, fy, fz = force[0, t], force[1, t], force[2, t]
@@ -527,8 +524,8 @@ def _solid_angle(
     the rectangle.
 
     It is the argument of a product of four complex numbers, up to a turn: more than pi is seen from
-    above the rectangle only. Past the edges it has the sign of z; through the rectangle it grows
-    on.
+    above the rectangle only. Past the edges it has the sign of z; through the rectangle it goes on
+    growing.
     """
     if z != 0.0:
         a = x1 * z * (y1 * r12 - y2 * r11)

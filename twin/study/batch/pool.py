@@ -209,8 +209,8 @@ class Pool:
             raise _TooLong
 
     def _run_in_processes(self, job: Job, waiting: deque[int]) -> Iterator[Job.Done]:
-        """Take tasks off the list and compute them in processes; where one dies, another is started
-        and its task goes back on the list."""
+        """Compute tasks in processes; where one dies, another is started and its task is waiting
+        again."""
         given: dict[Any, int] = {}
         lost = Counter[int]()
         try:
@@ -269,8 +269,7 @@ class Pool:
         pipe.close()
 
     def _run_here(self, job: Job, waiting: deque[int], start_s: float) -> Iterator[Job.Done]:
-        """Take tasks off the list and compute them here until processes pay that take ``start_s``
-        to start."""
+        """Compute tasks here until processes pay that take ``start_s`` to start."""
         gain = 1.0 - 1.0 / min(self._workers, len(waiting))
         folder = self._folders[job.name]
         with one_thread(), suppress(_TooLong):
@@ -373,7 +372,6 @@ _unpacked: dict[str, tuple[ExitStack, Path]] = {}
 
 
 def _task_on_worker(name: str, work: str, number: int) -> Job.Done:
-    """Compute a task of an unpacked job on a dask worker."""
     if name not in _unpacked:
         raise RuntimeError("this worker has not received the job's files")
     return _tried(_work_of(work), _unpacked[name][1], number)
@@ -387,7 +385,7 @@ def _tried(function: Work, folder: Path, number: int) -> Job.Done:
 
 
 def _unpack_on_worker(job: Job) -> None:
-    """Unpack a job in a worker process, which uses one numeric thread from here on."""
+    """Unpack a job in a worker process, which uses one numeric thread from then on."""
     if job.name in _unpacked:
         return
     for stack, _ in _unpacked.values():

@@ -127,7 +127,7 @@ def _checksums(places: Places) -> list[str]:
 
 
 def _listed(places: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return a line on each of the first places of every problem, and one on how many more there
+    """Return a line on each of the first places of every problem, and on how many more there
     are."""
     lines = []
     for problem, where in places.items():

@@ -174,7 +174,7 @@ def _made(
 
 
 def _write(places: Places, done: Job.Done) -> dict[str, str]:
-    """Write a shard's files, add their checksums to the list, and return them."""
+    """Write a shard's files, list their checksums, and return them."""
     shard: Any = done.result
     files = {places.shard(done.number): shard.samples}
     if shard.sensors is not None:
@@ -316,11 +316,8 @@ def _in_words(axis: Any) -> str:
 
 
 def _croissant(plan: Plan) -> dict[str, Any]:
-    """Return the dataset's Croissant 1.0 metadata (MLCommons), as JSON-LD.
-
-    Its files are named from the folder of the metadata, which is the dataset's: readers look for a
-    file set that is contained in nothing else there.
-    """
+    """Return the dataset's Croissant 1.0 metadata (MLCommons), as JSON-LD. Files are named from the
+    metadata's folder: readers look for a file set that is contained in nothing else there."""
     return {
         "@context": json.loads(_CONTEXT.read_text(encoding="utf-8")),
         "@type": "sc:Dataset",
@@ -484,7 +481,6 @@ def _measured(tried: Scene, several: bool, progress: Progress | None) -> dict[st
 
 
 def _timed(work: Callable[..., T], *arguments: Any) -> tuple[T, float]:
-    """Return the result of ``work``, and its CPU seconds."""
     started = time.process_time()
     return work(*arguments), time.process_time() - started
 

@@ -279,12 +279,10 @@ def _draws(
     numbers: Sequence[int],
     apart_from: Mapping[str, Distribution] | None = None,
 ) -> list[Table]:
-    """Return the values of all axes by dotted key, a table for every sample number; keys that
-    follow others are left out.
-
-    Axes that are drawn for another purpose are named in ``apart_from``: the same dimension of two
-    scrambled sequences is correlated (-0.6 over 64 points), so these take later dimensions.
-    """
+    """Return the values of all axes by dotted key, a table for every sample number, without keys
+    that follow others. Axes that are drawn for another purpose are named in ``apart_from``: the
+    same dimension of two scrambled sequences is correlated (-0.6 over 64 points), so these take
+    later dimensions."""
     width = sum(axis.takes for axis in axes.values())
     taken = sum(axis.takes for axis in (apart_from or {}).values())
     rows = _unit_numbers(scene.seed, purpose, scene.dataset.sampling, numbers, width, taken)
@@ -304,8 +302,8 @@ def _draws(
 def _unit_numbers(
     seed: int, purpose: Purpose, sampling: Sampling, numbers: Sequence[int], width: int, taken: int
 ) -> Floats:
-    """Return (len(numbers), width) numbers in [0, 1), a row for every sample number: of a sequence
-    the dimensions after the first ``taken``."""
+    """Return (len(numbers), width) numbers in [0, 1), a row a sample: the dimensions of a sequence
+    after the first ``taken``."""
     if width == 0 or not numbers:
         return np.zeros((len(numbers), width))
     if sampling == "random":
@@ -416,13 +414,7 @@ def _is_column(entry: Any) -> bool:
 
 def _chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
     """Return the sample columns of these names, in their one order; without names all that the
-    scene has. `ALWAYS` may be named, too.
-
-    Raises
-    ------
-    RecipeError
-        A name is unknown, or the scene lacks what it needs.
-    """
+    scene has, else a `RecipeError`. `ALWAYS` may be named, too."""
     asked = list(dict.fromkeys(names))
     wanted = [name for name in asked if name not in {column.name for column in ALWAYS}]
     has: set[Need] = {"load", "motion"}

@@ -48,7 +48,7 @@ def prepare(plan: Plan, places: Places, progress: Progress | None) -> Plan:
 
 
 def _put_down(scene: Scene, files: Mapping[str, Path], meta: Path) -> None:
-    """Write the scene and its files, where they are missing or changed."""
+    """Write the scene and its files where they are missing or changed."""
     contents = {name: path.read_bytes() for name, path in files.items()}
     for name, data in {**contents, "scene.toml": scene.to_toml().encode()}.items():
         if not (meta / name).is_file() or (meta / name).read_bytes() != data:
@@ -56,8 +56,7 @@ def _put_down(scene: Scene, files: Mapping[str, Path], meta: Path) -> None:
 
 
 def _pin_meshes(meta: Path, progress: Progress | None) -> None:
-    """Write the meshes, and a block's tables, that the scene's accuracy takes and by which its
-    error is estimated."""
+    """Write the meshes, and a block's tables, of the scene's accuracy and of its error estimate."""
     from twin.study.recipe import load_scene
     from twin.study.sensor import Sensor
     from twin.world.elasticity.block_table import Table

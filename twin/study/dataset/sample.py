@@ -116,13 +116,11 @@ class _MadeSensor:
         return row
 
     def motion(self, load: Load) -> Motion:
-        """Return the motion of its markers under a load."""
         pictured = bool(self.plan.needs & {"picture", "outlines"})
         return self.sensor.quick_motion(load, pictured=pictured, gather=self.gather)
 
     @cached_property
     def compliance(self) -> Compliance:
-        """Of its body, prepared for its markers."""
         from twin.world.elasticity.compliance import Compliance
 
         found = self.sensor.compliance
@@ -132,7 +130,6 @@ class _MadeSensor:
 
     @cached_property
     def grid(self) -> Sites:
-        """The grid of sites."""
         scene = self.plan.scene
         if scene.dataset.sites is not None:
             return scene.dataset.sites
@@ -140,7 +137,7 @@ class _MadeSensor:
 
 
 def _sensor_seed(root: int, number: int) -> int:
-    """Return the seed of a sensor, from the scene's seed and the sensor's number alone."""
+    """Return the seed of a sensor, from the scene's seed and its number alone."""
     sequence = np.random.SeedSequence(root, spawn_key=(int(Purpose.SENSOR), number))
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
@@ -224,11 +221,8 @@ def _truth_of(
     picture: Callable[[int, int], Picture] | None = None,
 ) -> _Row:
     """Return the columns' values under a load; pictures and outlines only with an exposure.
-
-    ``motion_of`` computes the markers' motion, where that is done already.
-    ``picture`` makes that of an exposure over motion, in the light of a frame; None: the load's
-    own.
-    """
+    ``motion_of`` computes the markers' motion; ``picture`` that of an exposure over motion, in the
+    light of a frame, the load's own by default."""
     sensor = made.sensor
     needs = made.plan.needs
     state = None if isinstance(pressed, Load) else pressed
@@ -334,10 +328,8 @@ _workshop = lru_cache(maxsize=1)(_Workshop)
 
 @contextmanager
 def _working(folder: Path) -> Iterator[_Workshop]:
-    """Work on the dataset of a job's folder: with its meshes only, and with fields of its own.
-
-    Fields in the cache of other runs may have been summed by several threads.
-    """
+    """Work on the dataset of a job's folder: with its meshes only, and with fields of its own, as
+    those in the cache may have been summed by several threads."""
     shop = _workshop(folder)
     before = os.environ.get("TWIN_CACHE")
     base = cache_folder()

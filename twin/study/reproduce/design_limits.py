@@ -122,8 +122,7 @@ DEFAULT = "inverse: smooth, as scenes have it"
 
 
 def _along_x(found: Field, *, magnitude: bool = False) -> tuple[Floats, Floats]:
-    """Return x, mm, and the push or the magnitude, N, on the sites nearest to y = 0, two rows
-    averaged."""
+    """Return x, mm, and the push or the magnitude, N, on the two rows of sites nearest to y = 0."""
     y = np.abs(found.site_mm[:, 1])
     row = y < y.min() + 1e-6
     x = np.unique(found.site_mm[row, 0].round(6))
@@ -133,9 +132,8 @@ def _along_x(found: Field, *, magnitude: bool = False) -> tuple[Floats, Floats]:
 
 
 def _point_width_mm(bench: Bench, chain: Chain, trial: Trial = ONCE) -> float:
-    """Return the full width at half maximum of the estimate of a narrow force, mm: of the
-    magnitude, as Sato has it. That of the push alone would flatter an inverse that swings from site
-    to site."""
+    """Return the full width at half maximum of the magnitude of a narrow force's estimate, mm: the
+    push's alone would flatter an inverse that swings from site to site."""
     found = chain.narrow(bench, (0.0,), FORCE_N, 60, trial)
     return full_width(*_along_x(found, magnitude=True), at_least=True)
 
@@ -159,7 +157,6 @@ def _shift_noise_px(bench: Bench, chain: Chain) -> float:
 
 
 def _limit_of(rig: Rig, noise_px: float) -> Limit:
-    """Return the closed-form limit of a nominal design at a tracker's noise."""
     material, layers = rig.scene.material, rig.scene.markers
     scale = np.linalg.norm(rig.image_scale[:, 0, :2], axis=1)
     markers = rig.sensor.actual.markers
@@ -189,7 +186,6 @@ def _limits(
 
 
 def _limit_numbers(limit: Limit) -> Numbers:
-    """Return a design's closed-form limits as numbers of their own."""
     return {
         Quantity("closed-form limit of the least distance of two forces", "mm"): float(
             limit.two_point_mm[0]
@@ -219,7 +215,6 @@ def _conclusion(bench: Bench) -> Entry.Outcome:
 
 
 def _limit_curves() -> Panel:
-    """Draw the closed-form limit against noise for the designs on the way."""
     noise_px = np.geomspace(0.003, 0.3, 25)
     noise_mm = np.repeat(0.05 * noise_px[:, None], 2, axis=1)
     curves = {}
@@ -380,8 +375,6 @@ def _limiting_causes(bench: Bench) -> Entry.Outcome:
 
 
 def _bars(title: str, across: str, values: Mapping[str, float], limits: list[float]) -> Panel:
-    """Return the drawing of a length by design, with the limit of each."""
-
     def draw(axes: Any) -> None:
         axes.barh(list(values), list(values.values()), color="#7d8894")
         kept = np.where(np.isfinite(limits), limits, np.nan)
@@ -426,7 +419,6 @@ def _rate_of(seconds: Floats) -> float:
 def _sorted_times(
     curves: Mapping[str, Floats], across: str, unit: str, levels: Mapping[str, float]
 ) -> Panel:
-    """Draw the sorted times of every way by name."""
     count = len(next(iter(curves.values())))
     return Panel.curves(
         f"{count} {across}s, sorted",
@@ -494,8 +486,7 @@ def _finger_times(bench: Bench) -> Entry.Outcome:
 @dataclass(frozen=True, kw_only=True)
 class _Hardware:
     """A paper's sensor with its own software and with this project's; the test of Table 1 or I;
-    contacts whose fields are reconstructed, by name; width at half maximum and frames a second, as
-    printed."""
+    contacts by name; width at half maximum and frames a second, as printed."""
 
     own: Chain
     ours: Chain
@@ -510,12 +501,11 @@ class _Hardware:
         return replace(self.ours, overrides={**self.ours.overrides, **INDUSTRIAL})
 
     def press(self, rig: Rig) -> Press:
-        """Return the first of the contacts."""
         return next(iter(self.presses.values()))(rig)
 
     def tracking(self, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
-        """Measure the deviation of a shift, mean over layers and axes; neither sites nor inverse
-        matter."""
+        """Measure the deviation of a shift, mean over layers and axes, whatever the sites and the
+        inverse."""
         camera = INDUSTRIAL if chain == self.industrial else {}
         chain = replace(chain, overrides=camera)
         found = self.shift.tracked(bench, "re-rendered", chain, trial)
@@ -525,7 +515,6 @@ class _Hardware:
         return {Quantity(name, "px", paper=printed, ours=True): float(np.mean(spreads))}
 
     def fields(self, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
-        """Measure the errors of the fields of all contacts."""
         rig = chain.rig(bench, trial)
         shots = {
             where: chain.shot(bench, press(rig), trial, 90) for where, press in self.presses.items()
@@ -538,7 +527,6 @@ class _Hardware:
         }
 
     def widths(self, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
-        """Measure the width of a narrow force, and the least distance of two."""
         width = Quantity(WIDTH, "mm", paper=self.width_mm, ours=True)
         return {
             width: _point_width_mm(bench, chain, trial),
@@ -559,7 +547,7 @@ class _Hardware:
         return {Quantity(name, "gf", paper=READ_GF, ours=True): found.resolution_gf}
 
     def rate(self, bench: Bench, chain: Chain, _: Trial) -> Numbers:
-        """Measure the median frames a second from a frame to its force field, on one thread."""
+        """Measure the median frames a second, on one thread."""
         rig = chain.rig(bench)
         picture = rig.picture(rig.motion(rig.press(self.press(rig)).load), 90)
         found = rig.track(picture, chain.tracker)
@@ -606,8 +594,7 @@ HARDWARE = (
 
 
 def _resolution_gf(bench: Bench, press: Press, chain: Chain, trial: Trial) -> float:
-    """Return the smallest difference of pushes that two readings of one press resolve at 95 %,
-    gf."""
+    """Return the smallest difference of pushes that two readings of a press resolve at 95 %, gf."""
     shots = [chain.shot(bench, press, trial, 100 + number) for number in range(READINGS)]
     pushes = np.array([shot.field.total_force_n[2] for shot in shots])
     slope = float(pushes.mean() / shots[0].state.force_n[2])
@@ -684,8 +671,8 @@ def in_short(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
         return f"{others[cause] if cause else row['twin']:.2g}"
 
     def of(paper: str, what: str) -> tuple[str, str, str]:
-        """Return a number with the paper's software, with this project's, and behind an industrial
-        camera too."""
+        """Return a number with the paper's software, this project's, and behind an industrial
+        camera."""
         part = f"{paper}: {what}"
         return value(part, PAPERS), value(part), value(part, CAMERA)
 

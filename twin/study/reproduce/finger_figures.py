@@ -78,8 +78,8 @@ PAPER = Chain(paper="sato", method="pinv")
 
 
 def _ways(bench: Bench) -> dict[str, Chain]:
-    """Return the paper's chain with one cause off, by name; the quick form leaves the calibration
-    as is."""
+    """Return the paper's chain with one cause off, by name; the quick form keeps the
+    calibration."""
     too = "" if bench.quick else ", in the calibration too"
     return {
         f"noise of the picture off{too}": replace(PAPER, overrides=QUIET, calibrated_by=QUIET),
@@ -89,7 +89,7 @@ def _ways(bench: Bench) -> dict[str, Chain]:
 
 
 def _weighed(deviation_n: float) -> Chain:
-    """Return the paper's chain with another force sensor, and with the compression of Table I."""
+    """Return the paper's chain with another force sensor, compressed as Table I wants it."""
     cell = {"calibration.load_cell_n": deviation_n, **COMPRESSED}
     return replace(PAPER, overrides=cell, calibrated_by=cell)
 
@@ -274,8 +274,7 @@ def _curve(distance_mm: Floats, size: Floats) -> tuple[Floats, Floats]:
 
 def _jump(distance_mm: Floats, size: Floats) -> float:
     """Return how far normalised magnitudes near the middle stand off a quartic within a pitch of
-    it. (Half of a peak 3 mm wide falls by a sixth every 0.5 mm, so steps between neighbours would
-    not do.)"""
+    it: half of a peak 3 mm wide falls by a sixth every 0.5 mm, so neighbours differ anyhow."""
     near = np.abs(distance_mm) <= PITCH_MM + 1e-9
     at, size = distance_mm[near], size[near]
     middle = np.abs(at) <= PITCH_MM / 2 + 1e-9
@@ -283,7 +282,7 @@ def _jump(distance_mm: Floats, size: Floats) -> float:
 
 
 def _row(rig: Rig, along: int, across_mm: float) -> tuple[Ints, Floats]:
-    """Return the numbers of the sites of a row, and their places along it, mm."""
+    """Return the numbers of a row's sites, and their places along it, mm."""
     chart = rig.scene.inverse.sites.chart()
     row = np.flatnonzero(np.abs(chart[:, 1 - along] - across_mm) < 1e-6)
     return row, chart[row, along]
@@ -292,7 +291,7 @@ def _row(rig: Rig, along: int, across_mm: float) -> tuple[Ints, Floats]:
 def _spread(
     bench: Bench, place: str, along: int, step_mm: float, chain: Chain, trial: Trial
 ) -> tuple[Floats, Floats]:
-    """Press between two calibrated points; return distances of a row's sites, mm, and their
+    """Press between two calibrated points; return distances of a row's sites, mm, and
     magnitudes."""
     rig = chain.rig(bench, trial)
     start = PLACES[place]

@@ -88,19 +88,16 @@ KNOWN_BLOCK = "finite block: the sensor knows the real block instead of a half-s
 
 
 def _impulse(axis: int, at_mm: tuple[float, float] = (0.0, 0.0), sign: float = 1.0) -> Load:
-    """Return a narrow traction along one axis, standing for an impulse."""
     x, y, z = (sign * IMPULSE_N * np.eye(3)[axis]).tolist()
     return Traction.disk(at_mm, SPOT_MM, (x, y, z))
 
 
 def _pillar_press(force_n: float, edge_mm: float = 0.0) -> Press:
-    """Return the press of the 5 mm pillar with another force, its rim rounded by ``edge_mm``."""
     return Press(probe=Cylinder(diameter_mm=5, edge_mm=edge_mm), force_n=(0.0, 0.0, force_n))
 
 
 def _causes(bench: Bench, chain: Chain, block: str) -> dict[str, Chain]:
-    """Return a chain with one cause off, by name; trackers change sides, ``block`` is that of the
-    block."""
+    """Return a chain with one cause off, by name; ``block`` is that of the block."""
     tracker = {OUR_TRACKER_INSTEAD: replace(chain, tracker=OUR_TRACKER)}
     if chain.tracker == OUR_TRACKER:
         tracker = {PAPERS_TRACKER: replace(chain, tracker="two-pass")}
@@ -140,7 +137,6 @@ def _figure_6(bench: Bench) -> Entry.Outcome:
 
 
 def _pitch_px(rig: Rig, name: str, at: Floats) -> float:
-    """Return the mean distance of neighbours in a layer's grid, px."""
     layer = rig.scene.markers[name]
     grid = at.reshape(layer.columns, layer.rows, 2)
     steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).ravel() for axis in (0, 1)]
@@ -203,14 +199,13 @@ def _figure_9(bench: Bench) -> Entry.Outcome:
 
 
 def _strongest_mm(found: Field) -> float:
-    """Return the distance of the site with the largest force from the middle, mm."""
     place = found.site_mm[np.argmax(np.linalg.norm(found.force_n, axis=1)), :2]
     return float(np.linalg.norm(place))
 
 
 def _profile(found: Field, half_band_mm: float) -> tuple[Floats, Floats]:
-    """Return x, mm, and the force along z by column of sites within ``half_band_mm`` of y = 0,
-    N."""
+    """Return x, mm, and the force along z, N, by column of sites within ``half_band_mm`` of y =
+    0."""
     x = np.unique(found.site_mm[:, 0].round(6))
     band = np.abs(found.site_mm[:, 1]) <= half_band_mm
     near = [band & (np.abs(found.site_mm[:, 0] - at) < 1e-3) for at in x]
@@ -234,7 +229,6 @@ def _pillar_numbers(shot: Shot) -> Numbers:
 
 
 def _pillar_field(label: str, chain: Chain, bench: Bench) -> Entry.Outcome:
-    """Solve the pillar's press by one constraint, and again with causes off."""
     ours = replace(OURS_DIFFERENCE, options=PUSHES.options)
     causes = _causes(bench, chain, KNOWN_BLOCK) | {OURS: ours}
     press = bench.pressing(PILLAR_PRESS)
@@ -260,7 +254,7 @@ def _free_numbers(shot: Shot) -> Numbers:
 
 
 def _figure_10(bench: Bench) -> Entry.Outcome:
-    """Add the solution without any constraint, which diverged in the paper."""
+    """Add the solution without any constraint."""
     constrained = _pillar_field("least norm of differences", DIFFERENCE, bench)
     quiet = {NO_NOISE: replace(FREE, overrides=QUIET)}
     press = bench.pressing(PILLAR_PRESS)
@@ -272,7 +266,6 @@ def _figure_10(bench: Bench) -> Entry.Outcome:
 
 
 def _figure_13(bench: Bench) -> Entry.Outcome:
-    """Show the field before camera calibration and the one after it."""
     before = _pillar_field("least norm, before camera calibration", BLIND, bench)
     after = NORM.shot(bench, PILLAR_PRESS).field
     panel = Panel.field("After camera calibration (Fig. 11)", after, 2.5)
@@ -280,8 +273,7 @@ def _figure_13(bench: Bench) -> Entry.Outcome:
 
 
 def _ways(bench: Bench, **options: bool) -> dict[str, Chain]:
-    """Return the paper's way with one cause off, by name, and all of this project's software at
-    last."""
+    """Return the paper's way with one cause off, by name, and this project's software at last."""
     return {
         **_causes(bench, DIFFERENCE, KNOWN_BLOCK),
         "inverse: the least norm instead of the least norm of differences": NORM,
@@ -293,7 +285,6 @@ def _figure_14(bench: Bench) -> Entry.Outcome:
     widths = WIDTHS_MM[::2] if bench.quick else WIDTHS_MM
 
     def profiles(chain: Chain, trial: Trial) -> dict[float, tuple[Floats, Floats]]:
-        """Return the profile of the push along x by width of the pillar."""
         found = {}
         for width in widths:
             probe = Pillar(width_mm=width, length_mm=LENGTH_MM)
@@ -373,7 +364,7 @@ def _twist_numbers(radius_mm: float, shot: Shot) -> Numbers:
 
 
 def _turning_share(found: Field, radius_mm: float) -> float:
-    """Return the share of the squared tangential forces under the pillar along circles about z."""
+    """Return the share of the squared tangential forces along circles about z."""
     distance = np.hypot(found.site_mm[:, 0], found.site_mm[:, 1])
     under = (distance < radius_mm) & (distance > 0)
     x, y = (found.site_mm[under, :2] / distance[under, None]).T
@@ -383,16 +374,13 @@ def _turning_share(found: Field, radius_mm: float) -> float:
 
 
 def _cosine(one: Floats, other: Floats) -> float:
-    """Return the cosine of the angle between two fields."""
     return float(one @ other / np.sqrt((one @ one) * (other @ other)))
 
 
 def _figure_16(bench: Bench) -> Entry.Outcome:
-    """Compare two opposite impulses along x, both outwards, with one along z."""
     apart = APART_MM[1::2] if bench.quick else APART_MM
 
     def filmed(chain: Chain, trial: Trial) -> tuple[Rig, Found, list[Found]]:
-        """Track the push, and the two impulses at every distance."""
         rig = chain.rig(bench, trial)
 
         def work() -> tuple[Rig, Found, list[Found]]:
@@ -411,8 +399,8 @@ def _figure_16(bench: Bench) -> Entry.Outcome:
         compare: Sequence[tuple[str, str, bool]] = COMPARED,
         reach: float = np.inf,
     ) -> dict[str, list[float]]:
-        """Return the cosines by what is compared, of every distance, of markers within ``reach``
-        along x."""
+        """Return cosines by what is compared, a distance each, of markers within ``reach`` along
+        x."""
         rig, push, pairs = filmed(chain, trial)
         points = rig.sensor.nominal_markers.points
         on_axis = np.abs(points[:, 1]) < AXIS_MM

@@ -94,8 +94,8 @@ def _compared(
     ranged: bool = False,
     label: str = "",
 ) -> tuple[list[Record], list[Found]]:
-    """Return records and runs of the test; where ``ranged``, over what isn't printed of the
-    capture, too."""
+    """Return records and runs of the test; where ``ranged``, also over what isn't printed of the
+    capture."""
     ranges = {BALANCE: _balanced} if protocol is KAMIYAMA else {QUALITY: _compressed}
     # A picture displaced in the computer holds one frame and its noise twice.
     ranged &= not bench.quick and not (protocol is KAMIYAMA and way == "digital")
@@ -112,7 +112,7 @@ def _compared(
 
 
 def _moments(protocol: Protocol, found: Found, *, printed: bool) -> Numbers:
-    """Return averages and standard deviations by layer and axis, with the paper's or without."""
+    """Return averages and deviations by layer and axis, with the paper's or without."""
     numbers: dict[Quantity, float] = {}
     for (layer, axis), (average, deviation) in protocol.paper.items():
         along = Protocol.samples(found, layer)[:, AXES.index(axis)]
@@ -126,7 +126,6 @@ def _moments(protocol: Protocol, found: Found, *, printed: bool) -> Numbers:
 
 
 def _table(protocol: Protocol, bench: Bench) -> Entry.Outcome:
-    """Return averages and standard deviations by layer and axis, both ways, with both trackers."""
     theirs: list[Record] = []
     ours: list[Record] = []
     for number, way in enumerate(WAYS):

@@ -153,8 +153,8 @@ def _unit(sweep: Sweep) -> Floats:
 
 
 def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
-    """Refuse axes and derived keys that the scene doesn't have, and values that are no number, all
-    at once."""
+    """Refuse, all at once, axes and derived keys that the scene doesn't have, and values that are
+    no number."""
     table = SceneTable.of(scene)
     filled = copy.deepcopy(table)
     problems = []
@@ -201,8 +201,8 @@ def _telling(sweep: Sweep, name: str) -> Any:
 
 
 def _wrong_values(sweep: Sweep, table: SceneTable, name: str, key: str) -> list[str]:
-    """Return the scene's problems with texts and lists of an axis, and with its least and largest
-    number, also as another key follows it, where the key's own range excludes them."""
+    """Return the scene's problems with an axis: with texts and lists, and with its least and
+    largest number where the key's own range, or that of one that follows it, excludes them."""
     rule = sweep.derived.get(name)
     followed = name if rule is None else rule.follows
     axis = next((sweep.axes[each] for each in sweep.axes if _matches(each, followed)), None)
@@ -270,7 +270,6 @@ def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> 
 
 
 def _sweep_of(table: dict[str, Any], where: str) -> Sweep:
-    """Return the sweep of a table read from ``where``."""
     if "axes" not in table and table.keys() & {"base", *Scene.model_fields} - {*Sweep.model_fields}:
         raise RecipeError("is a scene, not a sweep over designs: give it to twin run", where)
     try:

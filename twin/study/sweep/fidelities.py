@@ -226,7 +226,7 @@ def _noise_of(scene: Scene, view: View, sweep: Sweep) -> Floats:
 
 
 def _seeded(scene: Scene, number: int) -> Scene:
-    """Return a design with the seed of its made sensor ``number``, 0 being that of ``twin run``."""
+    """Return a design with the seed of its made sensor ``number``; 0 is that of ``twin run``."""
     return scene if number == 0 else scene.model_copy(update={"seed": scene.seed + number})
 
 
@@ -266,8 +266,8 @@ class _Profiles:
 
 @dataclass(frozen=True, kw_only=True)
 class _Class:
-    """The factors of the fields of one symmetry: (r,) S^2; (3k, r) forces of unit reduced unknowns
-    L^-T V, unfolded; (m, r) data H L^-T V; (2n, m) sparse orthonormal basis of the data."""
+    """Factors of the fields of one symmetry: (r,) S^2; (3k, r) forces of unit reduced unknowns L^-T
+    V; (m, r) data H L^-T V; (2n, m) sparse orthonormal basis of the data."""
 
     squared: Floats
     forces: Floats
@@ -330,7 +330,7 @@ def _information(
     scene: Scene, view: View, noise: Floats, used: Bools, sites: Rectangles, bodies: Bodies
 ) -> _Information:
     """Factorise a design's whitened transfer matrix, class by class: a column of the data's basis
-    holds one marker and its mirror images, and its row is that of the first times the root of their
+    holds a marker and its mirror images, and its row is the first's times the root of their
     number."""
     method, grid = scene.inverse.method, scene.inverse.sites
     layers = tuple((layer.columns, layer.rows) for layer in scene.markers.values())
@@ -446,7 +446,6 @@ def _shifts(scene: Scene, number: int, bodies: Bodies, pushes: Pushes) -> Floats
 
 
 def _errors(known: _Information, pushes: Pushes, force: Floats, weight: float) -> dict[str, float]:
-    """Return errors of the totals of expected forces (k, 3, sensors, loads)."""
     noise = known.covariance(np.tile(np.eye(3), len(force)), weight)
     truth = pushes.loads.sum(axis=1)
     press = slice(1, 1 + pushes.presses)
@@ -466,7 +465,6 @@ def _errors(known: _Information, pushes: Pushes, force: Floats, weight: float) -
 def _widths(
     scene: Scene, sweep: Sweep, sites: Rectangles, pushes: Pushes, force: Floats
 ) -> dict[str, float]:
-    """Return widths and two-point distances of expected forces (k, 3, sensors, loads)."""
     grid = scene.inverse.sites
     apart = pushes.pair_mm
     profiles = [_Profiles(scene, sites, force[:, :, sensor]) for sensor in range(force.shape[2])]
@@ -526,9 +524,8 @@ def _reached(grid: Sites, apart_mm: Floats) -> Bools:
 @dataclass(frozen=True, kw_only=True)
 class _Seen:
     """One made sensor's pictures: (exposures, loads, 3) totals and (exposures, k, 3, loads) forces,
-    N; (loads x exposures n, 2) errors of the shifts, the (n,) standard deviations that the tracker
-    states, and (loads n, 2) variances over exposures; the share of markers found; the first
-    picture."""
+    N; (loads x exposures n, 2) errors of the shifts, (n,) stated standard deviations, and (loads n,
+    2) variances over exposures; the share of markers found; the first picture."""
 
     sites: Rectangles
     totals: Floats
@@ -686,7 +683,6 @@ def _nominal_compliance(scene: Scene, points: Points, sites: Rectangles, bodies:
 
 
 def _calibration(sensor: Sensor, bodies: Bodies) -> Calibration:
-    """Return the calibration of a design, which is the same for all its made sensors."""
     points = sensor.nominal_markers.points
     compliance = _nominal_compliance(sensor.nominal, points, sensor.sites, bodies)
     return nominal_calibration(sensor, compliance)
@@ -712,7 +708,6 @@ class _Made:
 
 
 def _make_rows(folder: Path, task: int) -> _Made:
-    """Return the rows of a task of the job whose files are in ``folder``."""
     worker = _worker(folder)
     before = worker.bodies.asked, worker.bodies.made
     done = [worker.row(number) for number in worker.numbers(task)]
@@ -736,7 +731,6 @@ class _Worker:
         self._pushes: dict[str, Pushes] = {}
 
     def numbers(self, task: int) -> range:
-        """Return the numbers of the designs of a task."""
         return range(task * self.chunk, min((task + 1) * self.chunk, len(self.designs)))
 
     def row(self, number: int) -> tuple[Row, bytes | None]:

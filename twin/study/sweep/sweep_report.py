@@ -27,8 +27,7 @@ MOST = 5
 
 
 def _write_best(done: Swept, folder: Path) -> dict[int, Path]:
-    """Write ``best/01-design-<number>.toml`` and so on, the best first; return the files by
-    number."""
+    """Write ``best/01-design-<number>.toml`` and so on; return the files by number."""
     make_folder(folder / "best")
     for old in (folder / "best").glob("*.toml"):
         old.unlink()
@@ -124,8 +123,8 @@ EXPLAINED = ("two_point_mm", "fwhm_mm", "resolution_gf")
 
 def _sensitivities(done: Swept) -> list[tuple[str, str, float, float, float]]:
     """Return by metric and axis the first and total Sobol' index of log(metric) by the closed form,
-    where dropped designs take the mean, and the rank correlation over the designs; NaN for
-    texts. Nothing where only pictures judged."""
+    where dropped designs take the mean, and the rank correlation; NaN for texts. Nothing where only
+    pictures judged."""
     from scipy.stats import sobol_indices, uniform
 
     sweep, scene = done.designs.sweep, done.designs.scene
@@ -321,8 +320,7 @@ def _fronts(done: Swept) -> list[str]:
 def _front(
     names: tuple[str, str], x: Floats, y: Floats, on_front: Bools, target: tuple[float, float]
 ) -> str:
-    """Return the drawing (HTML) of (m,) designs by two metrics; NaN in ``target`` where there is
-    none."""
+    """Return the drawing (HTML) of (m,) designs by two metrics; NaN in ``target`` for none."""
     # a few hopeless designs must not press all others into a corner
     ends = [(float(v.min()), float(np.quantile(v, 0.95))) for v in (x, y)]
     targets = [
@@ -358,7 +356,8 @@ def _front(
 
 
 def _said(names: tuple[str, str], targets: tuple[float, float], drawn: Sequence[float]) -> str:
-    """Return what to say of a front's targets; those too far away to be drawn in numbers."""
+    """Return what to say of a front's targets, in numbers where they are too far away to be
+    drawn."""
     words = ["Dashed: the targets."] if np.isfinite(drawn).any() else []
     for name, target, shown in zip(names, targets, drawn, strict=True):
         if np.isfinite(target) and not np.isfinite(shown):
@@ -371,7 +370,6 @@ BINS = 14
 
 
 def _maps(done: Swept) -> list[str]:
-    """Return maps over the first two axes that are numbers."""
     columns = {name: _numbers(done.designs.columns[name]) for name in done.designs.sweep.axes}
     axes = [(name, values) for name, values in columns.items() if values is not None][:2]
     if len(axes) < 2:

@@ -243,7 +243,6 @@ def run_sweep(
 
 
 def _sweep_designs(designs: Designs, rows: Rows) -> Swept:
-    """Take all designs through the fidelities."""
     sweep = designs.sweep
     count = len(designs)
     columns, reason = closed(designs)
@@ -294,7 +293,6 @@ def _sweep_designs(designs: Designs, rows: Rows) -> Swept:
 def _put(
     columns: dict[str, Floats], stage: str, chosen: Ints, rows: Sequence[Row], count: int
 ) -> None:
-    """Put the numbers of rows into the columns of chosen designs."""
     for number, row in zip(chosen, rows, strict=True):
         for name, value in row.items():
             if name not in ("status", "error"):
@@ -302,7 +300,7 @@ def _put(
 
 
 def _coarse(done: Swept) -> tuple[Bools, list[str], list[str]]:
-    """Return which widths are only those of the sites, a warning where that is too wide, and else a
+    """Return which widths are only the sites', a warning where that is too wide, and else a
     note."""
     none = np.full(len(done.designs), np.nan)
     found = done.columns.get("linear_two_point_mm", none)
@@ -378,8 +376,7 @@ def _metric(columns: Mapping[str, Floats], name: str, upto: str = "full") -> Flo
 
 def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
     """Return (m,) distances to the targets, a weighted sum of log(metric / target); infinite where
-    unknown. What is better than its target counts a tenth, so that meeting all targets comes
-    first."""
+    unknown. What is better than its target counts a tenth, so that meeting all comes first."""
     parts = []
     for name, target in sweep.targets.items():
         values = _metric(columns, name)
@@ -395,8 +392,7 @@ def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
 
 
 def _optimised(designs: Designs, rows: Rows) -> Designs:
-    """Return the designs that a search within the sweep's axes evaluated, ``count`` of them at
-    most."""
+    """Return the designs that a search within the sweep's axes evaluated, ``count`` at most."""
     from scipy.optimize import differential_evolution
 
     sweep, scene = designs.sweep, designs.scene
@@ -523,7 +519,7 @@ def _overview(sweep: Sweep, scene: Scene, optimise: bool) -> tuple[list[Fact], I
 
 
 def _write_table(folder: Path, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> None:
-    """Write ``designs.parquet`` and ``designs.csv``, a row for every design."""
+    """Write ``designs.parquet`` and ``designs.csv``, a row a design."""
     import pyarrow as pa
     import pyarrow.csv as csv
     import pyarrow.parquet as pq

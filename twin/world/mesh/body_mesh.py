@@ -97,11 +97,9 @@ alike."""
 
 
 def _stretched(body: Body, level: Level, paths: Iterable[Path]) -> Mesh | None:
-    """Return a mesh of this level and of a body of this shape, stretched to this one, if that
-    passes the quality gates.
-
-    A block is any other block stretched along its axes; other shapes must be scaled copies.
-    """
+    """Return a mesh of this level and of a body of this shape, stretched to this one, if it passes
+    the quality gates. A block is any other block stretched along its axes; other shapes must be
+    scaled copies."""
     for path in sorted(paths):
         mesh, provenance = Mesh.load(path)
         if provenance.get("level", level) != level:
@@ -221,7 +219,6 @@ def outer_surface(body: Body, spacing_mm: float) -> tuple[Points, Ints]:
 
 
 def _body_name(body: Body) -> str:
-    """Return the body's kind in words, for messages."""
     return type(body).__name__.lower()
 
 
@@ -325,7 +322,7 @@ class _Tries:
         self, number: int, left_s: float, progress: Progress | None
     ) -> tuple[Mesh, Quality] | None:
         """Return the mesh of try ``number`` if it is sound and of the wanted size; else keep what
-        it lacks, and set the scale of the next one."""
+        it lacks, and set the next scale."""
         try:
             mesh = self._made(number, left_s)
         except MeshError as problem:
@@ -437,7 +434,7 @@ def _narrowest(vertices: Points, triangles: Ints) -> str:
 
 def _next_scale(tried: list[tuple[float, float]]) -> float:
     """Return the scale to try next, from scales and the unknowns they gave over the wanted ones: by
-    a power law, then between the best scale with too many unknowns and that with too few."""
+    a power law, then between the best too fine scale and the best too coarse one."""
     over, under = [t for t in tried if t[1] > 1], [t for t in tried if t[1] <= 1]
     if not over or not under:
         scale, ratio = tried[-1]

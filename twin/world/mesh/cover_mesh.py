@@ -50,14 +50,8 @@ def with_cover(mesh: Mesh, body: Body, thickness_mm: float) -> Mesh:
 
 def _squeezed(mesh: Mesh, body: Body, depth_mm: float) -> Mesh:
     """Return the mesh with its sensing surface moved to ``depth_mm`` below the body's; the deepest
-    nodes stay.
-
-    Raises
-    ------
-    MeshError
-        ``depth_mm`` is more than a quarter of the body's depth, or the sensing surface ends without
-        an edge.
-    """
+    nodes stay. `MeshError` where that is more than a quarter of the body's depth, or the sensing
+    surface ends without an edge."""
     if body.has_smooth_border:
         raise MeshError(
             "a cover needs a sensing surface that ends at a sharp edge, but this one goes on "
@@ -86,11 +80,8 @@ def _squeezed(mesh: Mesh, body: Body, depth_mm: float) -> Mesh:
 
 def _extruded(mesh: Mesh, body: Body) -> Mesh:
     """Return a squeezed mesh with one sheet of elements, region 1, grown from its sensing faces
-    back to the body's surface.
-
-    The far side of the sheet takes over their piece; each side of its rim takes the piece of the
-    face next to it.
-    """
+    back to the body's surface. The sheet's far side takes their piece; each side of its rim that of
+    the face next to it."""
     chosen = mesh.piece == 0
     faces, corners = mesh.faces[chosen], mesh.corners
     nodes = np.unique(faces)

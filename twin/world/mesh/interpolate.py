@@ -196,7 +196,7 @@ class Locator:
 
     def _nearest_best(self, points: Points, number: int) -> tuple[Ints, Floats, Floats]:
         """Return the first of the ``number`` nearest elements that holds each point, else the least
-        wrong one; the local coordinates (n, 3); the smallest barycentric coordinate (n,)."""
+        wrong one; local coordinates (n, 3); the smallest barycentric coordinate (n,)."""
         number = min(number, len(self._mesh.tets))
         away, near = self._tree.query(points, np.arange(1, number + 1))
         row, rank = np.nonzero(away <= self._reach[near])

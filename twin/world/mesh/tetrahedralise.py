@@ -256,11 +256,8 @@ def _checked_result(request: Request, points: Points, tets: Ints) -> tuple[Point
 
 
 def _child(given: str, made: str) -> None:
-    """Mesh what IN.npz asks for and write OUT.npz.
-
-    The alarm's default action ends the process even inside native code, so that an orphan doesn't
-    run on for ever.
-    """
+    """Mesh what IN.npz asks for and write OUT.npz. The alarm's default action ends the process even
+    inside native code: no orphan runs on for ever."""
     with np.load(given, allow_pickle=False) as request:
         _end_with_parent()
         if hasattr(signal, "alarm"):
@@ -305,7 +302,7 @@ def _seed(seed: int) -> None:
 
 
 def _end_with_parent() -> None:
-    """Ask Linux to kill this process when its parent dies, however that happens."""
+    """Ask Linux to kill this process when its parent dies."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 

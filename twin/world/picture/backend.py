@@ -250,7 +250,7 @@ def _working_driver() -> str | None:
 
 
 def _libraries() -> Sequence[str]:
-    """Return distinct libLLVM files, the one the user named first, then newest first."""
+    """Return distinct libLLVM files: the one the user named first, then the newest."""
     places = (*_PLACES, str(Path(sys.prefix) / "lib" / "libLLVM*"))
     found = {os.path.realpath(path): path for place in places for path in glob.glob(place)}
     newest = sorted(found.values(), key=_named_version, reverse=True)

@@ -231,11 +231,8 @@ def _marked(marks: Camera.Marks, corners: Floats, scene: Scene) -> tuple[Floats,
 
 
 def _glare(scene: Scene, top: float) -> Singles | None:
-    """Return (height, width, k) mirrored light, or None where no LED's disc is seen.
-
-    It is in the units of a marker's brightness, 1 for white in the brightest marker's place, before
-    the camera's vignetting and the gain.
-    """
+    """Return (height, width, k) mirrored light, 1 for white in the brightest marker's place before
+    vignetting and gain; None where no LED's disc is seen."""
     camera, light = scene.imaging
     if light.radius_mm == 0:
         return None
@@ -249,8 +246,8 @@ def _glare(scene: Scene, top: float) -> Singles | None:
 
 
 def _outside(scene: Scene, top: float) -> np.float32:
-    """Return what light that never entered the body counts: a surface's brightness in it is
-    relative to light that has passed the interfaces twice, straight, and spreads as it leaves."""
+    """Return what light that never entered the body counts: a surface's brightness is relative to
+    light that has passed the interfaces twice, straight, and spreads as it leaves."""
     camera, light = scene.imaging
     indices = [scene.material.refractive_index, *(layer.index for layer in camera.layers), 1.0]
     through = np.prod([1 - ((one - two) / (one + two)) ** 2 for one, two in pairwise(indices)])

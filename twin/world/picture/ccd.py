@@ -449,8 +449,8 @@ def _electron_rows(
 
     Pictures are (height, 3 width), or (height, width) behind a (2, 2) mosaic of ``colours``; empty
     arrays stand for no mosaic, no fixed pattern and no noise. Electrons are gain light + dark, of
-    variance their number, plus read noise: both are independent and normal, so one number of the
-    summed variance stands for both.
+    variance their number, plus read noise, both normal: one number of the summed variance stands
+    for both.
     """
     height, span = light.shape
     width = span // 3
@@ -516,11 +516,9 @@ def _composite_rows(
     matrices: Singles,
     filters: tuple[Singles, Singles, Singles],
 ) -> None:
-    """Send rows of (height, 3 width) ``shares`` through a composite line, in place.
-
-    They are corrected by ``curve`` (none if empty) and mixed into three signals by the first of
-    ``matrices``; each signal is blurred by its own filter, edges repeated; the second mixes back.
-    """
+    """Send rows of (height, 3 width) ``shares`` through a composite line, in place: corrected by
+    ``curve`` (none if empty), mixed into three signals by the first of ``matrices``, each blurred
+    by its own filter, edges repeated, and mixed back by the second."""
     width = shares.shape[1] // 3
     nothing = np.float32(0)
     longest = 0
@@ -561,13 +559,8 @@ def _composite_rows(
 
 def _demosaic(raw: Singles, colours: Ints) -> Singles:
     """Return (height, width, 3) colours of a mosaic: the mean of the nearest pixels that have each,
-    edges reflected.
-
-    Notes
-    -----
-    A green pixel has one colour left and right and the other above and below. The others have green
-    on all four sides and the third colour at the corners.
-    """
+    edges reflected. A green pixel has one colour left and right and the other above and below; the
+    others have green on all four sides and the third colour at the corners."""
     around = np.pad(raw, 1, mode="reflect")
     sides = around[1:-1, :-2] + around[1:-1, 2:]
     over = around[:-2, 1:-1] + around[2:, 1:-1]
@@ -588,7 +581,6 @@ def _demosaic(raw: Singles, colours: Ints) -> Singles:
 
 
 def _compressed(counts: Picture, quality: int) -> Picture:
-    """Return a picture after JPEG compression."""
     from PIL import Image
 
     stream: Any = io.BytesIO()

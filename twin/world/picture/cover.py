@@ -135,7 +135,7 @@ class Background:
         self, nodes: Pixels, points: Points, normals: Floats, depth_mm: float
     ) -> None:
         """Give nodes that just miss the cover the last place met towards their nearest neighbour
-        that doesn't: triangles then end at the body's edge, not up to a step before it."""
+        that doesn't: triangles then end at the body's edge."""
         met = np.isfinite(points[:, 0]).reshape(len(self._rows), len(self._columns))
         if met.all() or not met.any():
             return
@@ -419,8 +419,8 @@ def _seen_at(
 
 
 def _around(nodes: Floats, met: Bools, across: int) -> Floats:
-    """Return as many nodes of one axis of a grid, from one before the first that has any that are
-    ``met`` (r, c) to one behind the last; ``across`` is the other axis."""
+    """Return as many nodes of one axis of a grid, from one before the first that has any ``met``
+    (r, c) to one behind the last; ``across`` is the other axis."""
     there = np.flatnonzero(met.any(axis=across))
     first, last = max(there[0] - 1, 0), min(there[-1] + 1, len(nodes) - 1)
     return np.linspace(nodes[first], nodes[last], len(nodes))

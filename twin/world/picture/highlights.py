@@ -104,10 +104,9 @@ def _draw(
     """Add every highlight's samples to the (height, width, 3) ``picture``, each in the pixel where
     the surface has its normal.
 
-    ``around`` (rings, samples, 2) are directions of unit length, ``normals`` (n, leds, 3) those
-    about which facets' normals lie, ``axes`` (n, 3, 3) the semi-axes as columns, and ``towards``
-    (n, leds, 3) and ``to_camera`` (n, 3) ways. ``mapped`` (n, 2, 3) are the semi-axes in the
-    picture about ``middles``.
+    ``around`` (rings, samples, 2) are unit directions, ``normals`` (n, leds, 3) those about which
+    facets' normals lie, ``axes`` (n, 3, 3) the semi-axes as columns, ``towards`` (n, leds, 3) and
+    ``to_camera`` (n, 3) ways, ``mapped`` (n, 2, 3) the semi-axes in the picture about ``middles``.
     """
     height, width, _ = picture.shape
     samples = around.shape[0] * around.shape[1]
@@ -158,7 +157,6 @@ def _draw(
 
 
 def _unit(vectors: Floats) -> Floats:
-    """Return vectors of length 1."""
     square = np.einsum("...i,...i->...", vectors, vectors)[..., None]
     unit: Floats = vectors / np.sqrt(np.maximum(square, 1e-300))
     return unit

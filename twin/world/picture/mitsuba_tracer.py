@@ -119,8 +119,8 @@ class MitsubaTracer:
         return channels * share, np.array(free, np.float32) * share
 
     def _inputs(self, job: PictureJob) -> tuple[Any, Any, Any]:
-        """Return the lanes' pixels and starts, and one table of 16 numbers per marker, read four at
-        a time."""
+        """Return the lanes' pixels and starts, and a table of 16 numbers per marker, read four at a
+        time."""
         mi = self._mi
         m = job.metric
         s = np.linalg.inv(job.conjugate)
@@ -291,11 +291,9 @@ def _starts(job: PictureJob) -> Singles:
 
 
 def _aligned(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a copy of a flat array that begins at a multiple of 64 bytes.
-
-    Dr.Jit reads numpy's memory where it lies, with other instructions where it lies unaligned: a
-    kernel would be compiled again whenever another one of its arrays happens to.
-    """
+    """Return a copy of a flat array that begins at a multiple of 64 bytes. Dr.Jit reads numpy's
+    memory where it lies, with other instructions where it lies unaligned, and would compile a
+    kernel again for each kind."""
     room = np.empty(array.nbytes + 64, np.uint8)
     start = -room.ctypes.data % 64
     copy: NDArray[Any] = room[start : start + array.nbytes].view(array.dtype)

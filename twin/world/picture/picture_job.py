@@ -310,10 +310,8 @@ def _occluder_lists(
     members: Indices,
 ) -> int:
     """Write the lists of `occluders`, as far as ``members`` has room; return the room needed.
-
-    ``order`` has the markers cell by cell, ``begin`` where each cell begins in it; ``grid`` has the
-    cells' corner and their number in a mm, for x and y.
-    """
+    ``order`` has the markers cell by cell, ``begin`` where each cell begins in it; ``grid`` the
+    cells' corner and their number in a mm, for x and y."""
     # The layer of space in which there are markers at all.
     lowest = highest = spheres[order[0], 2]
     largest = 0.0

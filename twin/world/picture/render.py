@@ -89,7 +89,6 @@ class Renderer:
     """
 
     def __new__(cls, scene: Scene, *_: Any, **__: Any) -> Renderer:
-        """Return an object of the class that the scene's ``renderer`` names."""
         return super().__new__(_PathRenderer if scene.renderer == "path" else Renderer)
 
     def __init__(
@@ -213,7 +212,6 @@ class Renderer:
 
     @cached_property
     def _shader(self) -> Shader:
-        """What draws the markers; the splat of the outlines, if the splat draws them."""
         if self.variant.name == "splat":
             return self._splat
         return RENDERERS[self.variant.name](self._view, self._unit, self.scene.imaging[1].ambient)
@@ -266,8 +264,8 @@ class Renderer:
         free: Singles,
         cover: CoverMotion | None,
     ) -> Singles:
-        """Return the picture: (m, 3) light of markers, and their highlights, over what they leave
-        free of the cover, and specks and veil over both."""
+        """Return the picture: (m, 3) light of markers and their highlights over what they leave
+        free of the cover, then specks and veil."""
         light = self._view.cover.copy()
         if self.background is not None and self.background.deforms:
             shadows = self.background.shadows(markers, cover)
@@ -355,7 +353,6 @@ class _PathRenderer(Renderer):
 
     @property
     def drawn_by(self) -> str:
-        """See `Renderer`."""
         return f"path, {self.scene.accuracy.paths} paths a pixel, {super().drawn_by}"
 
     @cached_property
@@ -434,11 +431,8 @@ def _subpixels_for(centroid_px: float | str, method: str) -> int:
 
 
 def _centroid_error(subpixels: int, shadows: bool, method: str) -> float:
-    """Return a bound on the error of intensity centroids, px.
-
-    Measured for both sensors (picture benchmark), most of it from the edges of shadows. Those of
-    Mitsuba's rays are hard, so that finer grids than 4 x 4 were not always better there.
-    """
+    """Return a bound on the error of intensity centroids, px, measured for both sensors (picture
+    benchmark): most of it comes from the edges of shadows, which are hard in Mitsuba's rays."""
     bounds = _ERROR_PX["splat" if method == "splat" else "traced"]
     beyond = min(len(bounds) / subpixels, 1.0) if method == "splat" else 1.0
     return bounds[min(subpixels, len(bounds)) - 1] * beyond + (0.0 if shadows else _SHADOW_PX)

@@ -166,7 +166,7 @@ class Splat:
 
 def _outlines(job: PictureJob, tallies: Ints) -> Outlines:
     """Return outlines from (n, 4) tallies: coverage of each marker, all of it and what nothing
-    hides, in sub-pixels times `WEIGHT`; and columns and rows of the latter, from the sub-pixels'
+    hides, in sub-pixels times `WEIGHT`; columns and rows of the latter, from the sub-pixels'
     corners of the pixel nearest the marker."""
     k = job.subpixels
     whole, seen = tallies[:, 0], tallies[:, 1]
@@ -192,8 +192,8 @@ def _six(row: Any) -> Six:
 def _approach(ray: Four, m: Six, step: Four) -> Approach:
     """Return how a ray (fx, fy, dx, dy) passes an ellipsoid of metric ``m``: its distance to the
     centre in the metric, that distance's change along column and row (``step``: how far aside the
-    rays one column and one row on go, at the centre's height), the nearest point (3), the metric
-    times the ray's direction (3), that direction's square, and the steepest change."""
+    next rays go, at the centre's height), the nearest point (3), the metric times the ray's
+    direction (3), that direction's square, and the steepest change."""
     m00, m11, m22, m01, m02, m12 = m
     fx, fy, dx, dy = ray
     ax, ay, az = m00 * dx + m01 * dy - m02, m01 * dx + m11 * dy - m12, m02 * dx + m12 * dy - m22
@@ -219,7 +219,7 @@ def _candidate(met: Approach, m: Six, step: Four, k: Number) -> tuple[Number, Nu
 
     The distance is the norm of a nearly linear map. A norm is convex: it falls nowhere below its
     tangent, and rises at most by the map's norm times half a diagonal. Pixels count as full from
-    another one inwards: next to the outline one ray at their middle misses the mean of shading.
+    another one inwards, as next to the outline one ray misses the mean of shading.
     """
     miss, one, two = met[0], met[1], met[2]
     ax = met[6]
