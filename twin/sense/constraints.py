@@ -83,10 +83,10 @@ def _newton(
     """Semismooth Newton with a line search on the residual; sites that carry nothing drop out of
     the system.
 
-    Only the sites ``where`` (n,) may carry force. ``start`` (n, 3) is a first guess and
-    ``gradient`` (k, 3) A F - b there; ``rate`` (n,) is D by site, N^2/px^2. Ends at the residual
-    ``goal``, px^2/N. Returns forces and gradient of the same shapes at the best forces found, which
-    lie in the cone.
+    Only the sites ``where`` (n,) may carry force. ``start`` (n, 3) is a first guess, ``gradient``
+    (k, 3) A F - b there; ``rate`` (n,) is D by site, N^2/px^2. Ends at the residual ``goal``,
+    px^2/N. Returns forces and gradient of the same shapes at the best forces found, which lie in
+    the cone.
     """
 
     def residual(force: Floats, slope: Floats) -> tuple[Floats, Floats, Ints, float]:
@@ -138,11 +138,8 @@ def _pull(matrix, where, force):
 @njit(cache=True, fastmath=True)
 def _turned(matrix, active, axes, sought, diagonal, system):
     """Fill the lower triangle of ``system`` with v.(A w) of the sought axes v, w of the active
-    sites.
-
-    ``diagonal`` is added to the diagonal. In one pass: as array expressions it took most of a
-    solve.
-    """
+    sites, and add ``diagonal`` to its diagonal. One pass: array expressions took most of a
+    solve."""
     half = np.empty((3, 3))
     row = 0
     for i in range(len(active)):
@@ -187,8 +184,8 @@ def _newton_step(
     """Return the (k, 3) step that makes the linearised residual vanish.
 
     With the projection's derivative P = sum a v v^T the step s solves (1 - a) v.s + a rate v.(A s)
-    = -v.miss for every v: at once where a is 0, and divided by a rate a symmetric positive definite
-    system for the others.
+    = -v.miss for every v: at once where a is 0, else divided by a rate, a symmetric positive
+    definite system.
     """
     step, active = -miss, np.flatnonzero(kind > 0)
     if not len(active):
@@ -262,7 +259,6 @@ class Quadratic:
 
     @cached_property
     def _freely(self) -> Floats:
-        """Inverse of the Schur complement."""
         return np.asarray(np.linalg.inv(self._split[0]))
 
     def pushes(self, linear: Floats, start: Bools | None = None) -> tuple[Floats, Bools, float]:
@@ -353,8 +349,7 @@ def _block_pivoting(matrix: Floats, linear: Floats, start: Bools) -> tuple[Float
 
 
 def _working_set(matrix: Floats, linear: Floats, mu: float, start: Floats) -> tuple[Floats, float]:
-    """Solve on the sites that carry force and those that the optimality conditions add, until none
-    is added."""
+    """Solve on the sites that carry force and those that the optimality conditions add."""
     scale = float(np.abs(linear).max(initial=0.0))
     if scale == 0.0:
         return np.zeros_like(start), 0.0

@@ -192,7 +192,7 @@ def _ring(signal, column, row, inner, outer, top):
 @njit(cache=True)
 def _cut_out(signal, column, row, level, reach, mark, stamp, stack):
     """Flood from a peak: area, centroid, second moments (xx, xy, yy) of the pixels above ``level``;
-    whether whole, 1, cut by the picture's frame, .5, or neither, 0."""
+    1 if whole, .5 if cut by the picture's frame, else 0."""
     height, width = signal.shape
     top, area = 1, 0
     stack[0, 0], stack[0, 1] = column, row
@@ -245,8 +245,8 @@ def _levelling(signal, cx, cy, ixx, ixy, iyy, core, box, ground, level):
     a slope's.
 
     The weights fall smoothly to zero at the share ``core`` of the semi-axes: a sharp limit would
-    let single pixels of a bead's darker rim in and out as it moves, and tilt the plane. The noise
-    is read off 2 x 2 differences, which neither a slope nor a round marker's shading feels.
+    tilt the plane as single pixels of a bead's darker rim come and go. The noise is read off 2 x 2
+    differences, which neither a slope nor a round marker's shading changes.
     """
     n, sx, sy, sxx, sxy, syy, nn = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     t0, tx, ty, rough = 0.0, 0.0, 0.0, 0.0

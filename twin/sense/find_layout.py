@@ -252,8 +252,8 @@ def _contrast(picture: Picture) -> tuple[Singles, float]:
     """Return what a picture has besides its ground, (h, w, 3) counts, and the noise of a pixel.
 
     Where dots are dark the ground's shading is taken off: an LED's colour then doesn't look like
-    the colour of the dots in front of it. And black around the sensor doesn't count: with the dots
-    next to it it is more than half of a median's window.
+    the dots'. Black around the sensor doesn't count: with the dots next to it it is more than half
+    of a median's window.
     """
     away, ground = _less_ground(picture, np.zeros(picture.shape[:2], bool))
     every = _every(away)
@@ -382,7 +382,6 @@ def _lattice_at(
 
 
 def _believable(points: Pixels, index: Ints, on: Bools) -> bool:
-    """Return whether spots form a lattice, and not by chance."""
     count, own = int(on.sum()), index[on]
     if count < max(LEAST_DOTS, LEAST_SHARE * len(on)) or min(np.ptp(own, axis=0)) < 2:
         return False
@@ -394,7 +393,6 @@ def _believable(points: Pixels, index: Ints, on: Bools) -> bool:
 
 
 def _scatter(sites: Ints, places: Pixels) -> float:
-    """Return the median of `_misfit` over a lattice."""
     return float(np.median(_misfit(sites, places, 0.0)))
 
 
@@ -506,11 +504,8 @@ def _predict(
     sites: Ints, places: Pixels, wanted: Ints, own: bool = False
 ) -> tuple[Pixels, Floats, Floats]:
     """Return where sites are expected, px, the pitch there, and how many steps aside the mean of
-    the neighbours lies: by the lattice's affine map, and the local affine map of what that leaves,
-    drawn weakly to none.
-
-    ``own`` leaves a site itself out of its neighbours.
-    """
+    the neighbours lies: by the lattice's affine map, and the local one of what that leaves, drawn
+    weakly to none. ``own`` leaves a site itself out."""
     # the affine map of the whole lattice
     design = np.column_stack([sites, np.ones(len(sites))])
     whole, *_ = np.linalg.lstsq(design, places, rcond=None)
@@ -536,7 +531,6 @@ def _predict(
 
 
 def _explained(away: Singles, noise: float, layers: list[_Layer]) -> float:
-    """Return the share of the strong pixels that lie in the dots of layers."""
     strength = np.linalg.norm(away, axis=2)
     strong = strength > max(0.4 * np.quantile(strength, 0.985), 4.0 * noise)
     places = np.argwhere(strong)[:, ::-1]
@@ -657,7 +651,6 @@ def _strain(steps: Floats) -> float:
 
 
 def _pitch(centres: Pixels, sites: Ints, lattice: str) -> float:
-    """Return the mean distance of neighbours, px."""
     at = {(int(i), int(j)): k for k, (i, j) in enumerate(sites)}
     lengths = []
     for (i, j), k in at.items():
@@ -682,7 +675,6 @@ def _counts(picture: Picture, centres: Pixels, width: float) -> tuple[Floats, Fl
 
 
 def _colour_name(layer: FoundLayout.Layer) -> str:
-    """Return a word for the dots' colour."""
     colour, ground = layer.colour_dn, layer.ground_dn
     bright = layer.polarity == "bright"
     shown = np.maximum(colour - ground, 0.0) if bright else colour / np.maximum(ground, 1.0)

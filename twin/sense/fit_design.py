@@ -74,9 +74,7 @@ class _Design(Protocol):
     """What is fitted: parameters, and what they predict."""
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        ...
+    def names(self) -> tuple[str, ...]: ...
 
     @property
     def print_mm(self) -> float:
@@ -252,7 +250,6 @@ class _Residuals:
 
 
 def _gauss_newton(residuals: _Residuals, start: Floats) -> tuple[Floats, Floats]:
-    """Return the least-squares parameters and the residuals' slope there."""
     scaled, value = start, residuals(start)
     for _ in range(ITERATIONS):
         slope = _slope(residuals, scaled, value)
@@ -277,8 +274,8 @@ def _slope(residuals: _Residuals, scaled: Floats, value: Floats) -> Floats:
 
 
 def _left_out(residuals: _Residuals, scaled: Floats, slope: Floats) -> Floats:
-    """Return every place's error when predicted from the others: one Gauss-Newton step without its
-    rows."""
+    """Return every place's error when predicted from the others: one Gauss-Newton step without
+    it."""
     presses, value = residuals.presses, residuals(scaled)
     errors = []
     for place in np.unique(presses.place):

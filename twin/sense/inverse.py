@@ -264,11 +264,9 @@ def _make_room(kept: dict[Any, Any], most: int) -> None:
 
 
 def _base(calibration: Calibration, method: InverseMethod, known: Bools, noise: Floats) -> _Base:
-    """Factorise, or take a kept factorisation: with even noise it only scales.
-
-    Where markers give fewer data than sites have unknowns, a film has a new pattern of noise in
-    most of its frames (`_weights`): they follow from the factors of all markers alike.
-    """
+    """Factorise, or take a kept factorisation: with even noise it only scales. Where markers give
+    fewer data than sites have unknowns, a film's changing patterns of noise (`_weights`) follow
+    from the factors of all markers alike."""
     kept = _kept.setdefault(calibration, {})
     even = bool(np.all(noise == noise[0]))
     pattern = (noise / noise.mean()).round(6) if not even else np.ones(1)

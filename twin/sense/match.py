@@ -480,10 +480,10 @@ class Neighbourhood:
 
 @dataclass(frozen=True, kw_only=True)
 class _Pairing:
-    """Which spot every marker is taken for: (n,) spots, -1 for none, (n, 2) motion; its mean
-    length in spacings, and that since the last picture, or since rest; how much that leaves over,
-    how many of these are markers that have moved unlike their neighbours, and how many spots; how
-    many markers have no spot though as many spots have no marker; and what speaks against it."""
+    """Which spot every marker is taken for: (n,) spots, -1 for none, (n, 2) motion; its mean length
+    in spacings, and that since the last picture, or since rest; how much it leaves over, how many
+    of that are markers that have moved unlike their neighbours, and how many spots; how many
+    markers have no spot though as many spots have no marker; what speaks against it."""
 
     spot: Ints
     motion: Pixels
@@ -590,16 +590,12 @@ class _Search:
         return np.flatnonzero(free)
 
     def lost(self, pairing: _Pairing) -> float:
-        """Return how many markers have no spot."""
         return float((self.known & (pairing.spot < 0)).sum())
 
     def plain(self, pairing: _Pairing) -> bool:
         """Return whether no marker and no spot is left over, and none but a few `ASTRAY` markers
-        have moved by `STILL` spacings.
-
-        Then no other pairing needs a look: every other one moves the markers by at least three
-        times as much, which `PRIOR` counts by more than `RIVAL`.
-        """
+        have moved by `STILL` spacings: then every other pairing moves the markers at least three
+        times as far, which `PRIOR` counts by more than `RIVAL`."""
         found = pairing.spot >= 0
         if pairing.left_over > pairing.astray or not found.any():
             return False
@@ -617,8 +613,8 @@ class _Search:
         return [np.zeros_like(rest) + peak] if np.linalg.norm(peak) > 0.1 * size else []
 
     def rivals(self, pairing: _Pairing) -> list[_Pairing]:
-        """Return the pairings where every marker takes the spot of its partner a step of the
-        lattice away."""
+        """Return the pairings where every marker takes the spot of its partner a lattice step
+        away."""
         around, spot = self.around, pairing.spot
         expected, _ = around.predict(pairing.motion)
         beyond = self._free(spot)
@@ -641,12 +637,8 @@ class _Search:
         return found
 
     def grow(self, guess: Pixels, whole: bool = False) -> _Pairing:
-        """Spread from pairs near ``guess`` over the neighbours: from the largest patch of them, or
-        the ``whole``.
-
-        Why one patch: where markers have moved by about a step of the lattice, others' spots are
-        near as well.
-        """
+        """Spread from pairs near ``guess`` over the neighbours: from the largest patch of them, as
+        spots a step of the lattice away are near as well, or the ``whole``."""
         around, rest = self.around, self.around.rest_px
         start = np.where(np.isfinite(rest + guess), rest + guess, -1e9)
         spot = self._nearest(start, self.alike)

@@ -67,11 +67,8 @@ class PaperCentroid(CentreEstimator):
     def _centroids(
         picture: Picture, look: Look, start_px: Pixels, cell_px: float, passes: int = PASSES
     ) -> Pixels:
-        """Return the (n, 2) centroids of square cells of side ``cell_px`` around ``start_px``, px.
-
-        NaN where a cell's brightest pixel stays below the contrast. (The paper has no such test,
-        and takes the centroid of the noise.)
-        """
+        """Return the (n, 2) centroids of square cells of side ``cell_px`` around ``start_px``, px;
+        NaN where a cell's brightest pixel stays below the contrast, a test that the paper lacks."""
         out = np.empty((len(start_px), 2))
         colour = (*map(float, look.weights), float(look.ground_dn))
         half = max(1, round(cell_px / 2))

@@ -298,11 +298,8 @@ def _sd_of_totals(
     found: Found, linear: _Linear, even: float, moved: Floats, *, local: bool
 ) -> Floats:
     """Return the (6,) standard deviations of a linear solution's totals, N and N mm, by all that
-    `Field.sd_total_n` lists but bounds.
-
-    ``even`` is the size of the noise that all markers share; ``moved`` (3,) is how far the last
-    turn of ``local`` moved the total force, N.
-    """
+    `Field.sd_total_n` lists but bounds. ``even`` is the size of the noise that all markers share;
+    ``moved`` (3,) how far the last turn of ``local`` moved the total force, N."""
     problem, weight = linear.problem, linear.weight
     calibration, factors = problem.calibration, problem.factors
     rows = calibration.total_rows
@@ -471,11 +468,9 @@ SETTLED = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class _Linear:
-    """A solution of ``problem`` without bounds, for a whitened weight.
-
-    ``whole``, ``off`` and ``bend`` are (m,) whitened data, and what wrong vectors and the camera's
-    bend add to them; ``wrong`` (m/2,) the vectors that were found to be wrong.
-    """
+    """A solution of ``problem`` without bounds, for a whitened weight. ``whole``, ``off`` and
+    ``bend`` are (m,) whitened data, and what wrong vectors and the camera's bend add to them;
+    ``wrong`` (m/2,) the wrong vectors."""
 
     problem: Problem
     whole: Floats
@@ -517,9 +512,9 @@ class _Linear:
 
     @property
     def totals_left_open(self) -> Floats:
-        """(6,) standard deviations of totals, N and N mm: by the forces for which shifts are taken
-        that the transfer matrix lacks by `Calibration.by_thickness`, `Calibration.by_depth` and
-        `Calibration.by_camera`, by `Calibration.by_load_cell`, and by `Calibration.mesh_error`."""
+        """(6,) standard deviations of totals, N and N mm: by `Calibration.by_thickness`,
+        `Calibration.by_depth`, `Calibration.by_camera`, `Calibration.by_load_cell` and
+        `Calibration.mesh_error`."""
         problem, known = self.problem, self.problem.calibration
         force = self.force_n
         single = force.ravel().astype(np.float32)
@@ -658,13 +653,8 @@ def _with_model_error(problem: Problem, whole: Floats, force_n: Floats) -> tuple
 def _solved_locally(
     problem: Problem, whole: Floats, weight: float | WeightRule, robust: bool, camera: bool
 ) -> tuple[_Linear, Floats, Floats]:
-    """Solve with forces expected where the smooth solution, then the local one, has some.
-
-    Returns
-    -------
-    The solution; (k, 3) deviations, N; and (3,) what its total owes to where forces are expected,
-    N: by how much the last turn moved it.
-    """
+    """Solve with forces expected where the smooth solution, then the local one, has some. Returns
+    the solution; (k, 3) deviations, N; (3,) by how much the last turn moved its total, N."""
     found = smooth = _solved(problem, whole, "auto", robust, camera)
     rule = "likelihood" if weight == "auto" else weight
     for _ in range(TURNS):

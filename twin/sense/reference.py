@@ -247,8 +247,8 @@ def _sought(
 
 
 def _nearest(nominal: Pixels, spots: Pixels, fit: Bools) -> Ints:
-    """Return which of ``spots`` (b, 2) that ``fit`` are the nearest to some nominal place: markers
-    are among them, the border of a gel that lies in the picture mostly isn't."""
+    """Return which of ``spots`` (b, 2) that ``fit`` are the nearest to some nominal place: the
+    border of a gel that lies in the picture mostly isn't."""
     rows = np.flatnonzero(fit)
     if not len(rows):
         return rows

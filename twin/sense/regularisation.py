@@ -61,8 +61,8 @@ ROUND_OFF = 1e-14
 def _automatic(seen: Factors.Spectrum) -> float:
     """Return the larger of `LIKELY` times the most likely weight and the cross-validated one.
 
-    A press is concentrated in few sites, which an even prior does not expect, so either rule
-    smooths too little, and not in the same cases (``python -m benchmarks inverse``).
+    An even prior does not expect a press concentrated in few sites, so either rule smooths too
+    little, not in the same cases (``python -m benchmarks inverse``).
     """
     return max(LIKELY * _most_likely(seen), _cross_validated(seen))
 

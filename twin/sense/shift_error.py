@@ -191,11 +191,10 @@ class ShiftErrors:
         """Return the same by the edges alone.
 
         Why: compression and colour mosaics leave errors that hang together over pixels, which the
-        variance in single pixels does not show, and which a fit takes for motion (5 to 10 times the
-        stated deviation). They move the edge in its third harmonic as in the first, the motion, but
-        for small markers (`Templates.smooths_third`). Neither motion, size nor strain moves the
-        third, and what a marker's own outline or shadow lacks of the model is the same at rest and
-        cancels.
+        variance in single pixels does not show. They move the edge in its third harmonic as in the
+        first, the motion, but for small markers (`Templates.smooths_third`). Neither motion, size
+        nor strain moves the third, and what a marker's own outline or shadow lacks of the model is
+        the same at rest.
         """
         moved = np.abs(self.fitted[:, THIRD] - self.templates.third)
         counts = np.isfinite(self._noise_sd) & np.isfinite(moved[:, 0])
@@ -275,9 +274,9 @@ class ShiftErrors:
         """Return (n,) the variance of shifts, per axis, px^2, of a cut that looks like less size.
 
         What hides a narrow part on one side moves a fitted centre by twice as much as it makes the
-        mean radius smaller, as the first harmonic is twice the mean. Where blur hides that the edge
-        is uneven, nothing else shows. So a marker that has shrunk more than its neighbours, beyond
-        chance, may have moved less than measured. ``sd`` (n,) is the shifts' by the noise.
+        mean radius smaller, as the first harmonic is twice the mean. Where blur hides the uneven
+        edge nothing else shows: a marker that has shrunk more than its neighbours, beyond chance,
+        may have moved less than measured. ``sd`` (n,) is the shifts' by the noise.
         """
         fitted, rest = self.fitted, self.templates.rest
         shrunk = fitted[:, SCALE] / rest[:, SCALE]
@@ -313,5 +312,4 @@ class ShiftErrors:
 
 
 def _square(vectors: Floats) -> Floats:
-    """Return (n,) the squared lengths of vectors (n, 2)."""
     return np.asarray(vectors[:, 0] ** 2 + vectors[:, 1] ** 2)

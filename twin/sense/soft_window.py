@@ -308,8 +308,8 @@ class SoftWindow(CentreEstimator):
 
 
 def _is_compressed(picture: Picture) -> bool:
-    """Return whether a picture is a JPEG's: of its own blocks of 8 x 8 pixels, where these aren't
-    even, more fine waves have no amplitude than of blocks that lie across."""
+    """Return whether a picture is a JPEG's: more fine waves have no amplitude in its own blocks of
+    8 x 8 pixels, where these aren't even, than in blocks that lie across."""
     shares = []
     for begin in (0, 4):
         part = picture[begin:, begin:]

@@ -295,8 +295,8 @@ def _sensor_digest(scene: Scene) -> str:
 
 
 def _as_computed(scene: Scene) -> str:
-    """Return a hash of how exactly, and by which renderer, the presses of a calibration are
-    computed: those of one sensor are stored under it. A file is taken by whatever it was made."""
+    """Return a hash of how exactly, and by which renderer, a calibration's presses are computed:
+    those of one sensor are stored under it."""
     table = scene.model_dump(mode="json", include={"accuracy", "renderer"})
     return hash_of(table)[:16]
 
@@ -576,7 +576,6 @@ def _with_facts(made: Calibration, presses: Presses, facts: dict[str, Any]) -> C
 
 
 def _stating(made: Calibration, facts: dict[str, Any]) -> Calibration:
-    """Return a calibration with more facts, or other ones, in its provenance."""
     return replace(made, provenance=json.dumps(made.facts | facts))
 
 

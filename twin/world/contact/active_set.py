@@ -240,11 +240,8 @@ def _iterated(
     share: float,
 ) -> tuple[Floats, Floats] | None:
     """Return forces and place as `_linear_solve`, by GMRES from a guess, of whose residual a
-    ``share`` is left.
-
-    ``sunk`` (k,) are the normal displacements under the guess's forces. None where patches stick,
-    and where the goal is out of reach.
-    """
+    ``share`` is left; ``sunk`` (k,) are the guess's normal displacements. None where patches stick,
+    and where the goal is out of reach."""
     touching = np.flatnonzero(active)
     if np.any(active & problem.sticking):
         return None
@@ -360,11 +357,7 @@ def solve(problem: UnilateralProblem, active: Bools, pose: Floats) -> Equilibriu
 
 def _next_set(active: Bools, push_mm: Floats, opening: Floats, slack: float, mode: int) -> Bools:
     """Return the next set in contact: without those that pull, with those that overlap; or only the
-    worst changed.
-
-    ``push_mm`` are the patches' normal forces in terms of the displacement that each would cause
-    alone.
-    """
+    worst changed. ``push_mm`` are the patches' normal forces times each one's own compliance."""
     pulls = np.where(active & (push_mm < -slack), -push_mm, 0.0)
     overlaps = np.where(~active & (opening < -slack), -opening, 0.0)
     if mode >= _PULLS_FIRST and pulls.any():

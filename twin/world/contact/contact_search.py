@@ -41,10 +41,8 @@ _ON_EVERY_SIDE = 0.15
 
 def _turn_along(patches: Patches, weight: Floats, long: float, askew: float) -> Floats | None:
     """Return the turn (3, 3) about the plane's normal that takes the grid's axes along and across a
-    long contact, in which cells have weights (k,).
-
-    None where they are no more ``askew``, or the contact is no more ``long``.
-    """
+    long contact, in which cells have weights (k,); None where they are no more ``askew``, or the
+    contact is no more ``long``."""
     middle = patches.middle_mm
     cell = patches.cell_mm
     away = middle - weight @ middle / weight.sum()
@@ -617,8 +615,8 @@ def _overlap(
 
 
 def _about_nearest(contacts: ContactProblem, whole: Box, pose: Floats) -> Box:
-    """Return a box half as large about the patches that are nearest to the probe: under a face on a
-    slope, its rim."""
+    """Return a box half as large about the patches nearest to the probe: under a face on a slope,
+    its rim."""
     gap = contacts.gap(pose)[0]
     nearest = contacts.patches.middle_mm[gap <= gap.min() + 1e-12].mean(axis=0)
     u, v = (size / 4 for size in whole.size)

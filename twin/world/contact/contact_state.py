@@ -34,11 +34,8 @@ for 4. At nu = 0.45 nothing is gained."""
 def _contact_area(
     setup: ProbeSetup, patches: Patches, equilibrium: Equilibrium, friction: float
 ) -> float:
-    """Return the area of the contact, mm2.
-
-    Under a sphere or a cone it is within the outline that the pressures give; without one, and
-    under any other probe, the sum of the patches, which is 1 to 4 % off.
-    """
+    """Return the area of the contact, mm2: under a sphere or a cone within the outline that the
+    pressures give, else the sum of the patches, which is 1 to 4 % off."""
     nu = setup.poisson_ratio
     cone = isinstance(setup.probe, Cone)
     rows = np.flatnonzero(equilibrium.active)

@@ -77,7 +77,6 @@ class _ContactStatus:
 
     @property
     def size(self) -> int:
-        """Number of unknowns."""
         return 2 * len(self.touching) + len(self.stuck)
 
     @property
@@ -213,11 +212,9 @@ class _NewtonSystem:
         self, influence: Influence, right: Floats, balance: Floats, share: float
     ) -> tuple[Floats, Floats] | None:
         """Return the solution by GMRES, lengths over the compliance's unit; None if out of reach.
-
         Equations across the drag are multiplied by c. The preconditioner shares its root between
-        rows and columns, and adds 1 - c for the shift: at c = 0, as without friction, nothing else
-        is left of such an equation.
-        """
+        rows and columns, and adds 1 - c for the shift: at c = 0, without friction, nothing else is
+        left."""
         status = self.status
         across = status.across
         unit = influence.unit

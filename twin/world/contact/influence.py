@@ -105,11 +105,9 @@ def _inverse_of(spectra: Floats) -> Floats | None:
 
 class _Convolution:
     """A kernel on a lattice, its ``spectra`` as of `_spectra_of` or (1, nu, nv) of the normal part
-    alone, and a smooth correction.
-
-    The correction (c m m, c m m) is what polynomials of m terms along either side, whose values are
-    ``sides`` (nu, m) and (nv, m), make of each other, c = 3 axes or the normal alone.
-    """
+    alone, and a smooth correction: (c m m, c m m) what polynomials of m terms along either side,
+    with values ``sides`` (nu, m) and (nv, m), make of each other, c = 3 axes or the normal
+    alone."""
 
     def __init__(
         self,
@@ -213,7 +211,7 @@ def _mix(
     out: Floats,
 ) -> None:
     """Set ``out`` (b, 3, u, v) to what spectra and correction make of waves and polynomials ``f``;
-    why compiled: in NumPy it is a dozen passes through memory."""
+    compiled, as NumPy takes a dozen passes through memory."""
     nu = len(of_u)
     nv = len(of_v)
     for b in range(f.shape[0]):

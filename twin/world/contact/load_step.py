@@ -47,7 +47,6 @@ class _Guess:
 
     @classmethod
     def of(cls, found: Equilibrium) -> _Guess:
-        """Return an equilibrium."""
         return cls(
             force_n=found.force_n,
             pose=found.pose,
@@ -57,7 +56,6 @@ class _Guess:
 
     @classmethod
     def at(cls, history: ContactHistory) -> _Guess:
-        """Return where a history ends."""
         return cls(
             force_n=history.force_n,
             pose=history.pose,
@@ -251,10 +249,7 @@ def _part(
     held: Bools | None = None,
 ) -> tuple[ContactHistory, Equilibrium]:
     """Solve one part from a guess; return the state, and the history with how far the probe slid as
-    a whole.
-
-    Of relaxing rubber, the elastic contact of the part's interval (`RubberMemory`).
-    """
+    a whole; of relaxing rubber, the elastic contact of the part's interval (`RubberMemory`)."""
     if history.memory is None:
         return _elastic_part(grid, history, control, guess, held)
     share, left = history.memory.over(control.time_s - history.time_s)
@@ -285,7 +280,6 @@ def _elastic_part(
     guess: _Guess | None,
     held: Bools | None,
 ) -> tuple[ContactHistory, Equilibrium]:
-    """Solve one part as `_part`, of elastic rubber."""
     here = grid.carried(history.slid_mm)
     problem = here.problem(history, control, held)
     if grid.sticks:
@@ -324,7 +318,7 @@ def _elastic_part(
 
 
 def _from_guess(problem: UnilateralProblem, guess: _Guess) -> Equilibrium:
-    """Solve Coulomb's law from a guess, and from a probe that sticks where the guess is too far
+    """Solve Coulomb's law from a guess, or from a probe that sticks where the guess is too far
     off."""
     try:
         return solve_coulomb(problem, guess.force_n, guess.pose, guess.displacement_mm)
@@ -413,7 +407,7 @@ def _pass(
     guess: _Guess | None,
     known: tuple[ContactHistory, Equilibrium] | None,
 ) -> tuple[ContactHistory, Equilibrium]:
-    """Solve one part, with the patches that touch within it held by friction from where they
+    """Return one part, with the patches that touch within it held by friction from where they
     touched; ``known`` is what it leads to where these slide, if that is solved."""
     try:
         slid, found = known or _part(grid, history, control, guess)
@@ -440,8 +434,8 @@ def _advance(
     known: tuple[ContactHistory, Equilibrium] | None = None,
     halvings: int = _HALVINGS,
 ) -> tuple[ContactHistory, Equilibrium]:
-    """Take one part of a step to ``wanted``, in halves where it finds no equilibrium at once;
-    ``known`` as of `_pass`."""
+    """Take one part of a step to ``wanted``, in halves where it finds no equilibrium; ``known`` as
+    of `_pass`."""
     try:
         slid, found = _pass(grid, history, control, guess, known)
         return _remember(grid, slid, found, control.time_s), found
@@ -468,8 +462,8 @@ def _parts(
     """Return in how many parts to take a step: ``most`` where it changes half or more.
 
     Under a force that creeps, the share by which the rubber relaxes counts, too. Without friction
-    only relaxation asks for parts, as it keeps what elastic forces did between: the error is that
-    share of the change, over the square of the parts.
+    only relaxation asks for parts: the error is that share of the change, over the square of the
+    parts.
     """
     if history.memory is not None:
         relaxed = 1.0 - history.memory.over(control.time_s - history.time_s)[0]
@@ -492,12 +486,10 @@ def _changed(history: ContactHistory, force_n: Floats) -> float:
 def _slide_parts(
     grid: FrictionalContact, history: ContactHistory, way: Floats, increments: int
 ) -> int:
-    """Return in how many parts to take a step whose motions by (6 p,) are given, at least
-    ``increments``: in the usual number a smooth probe moves by up to its contact's radius in each.
-
-    Patches that touch within a part are held from where they touched, so that they may not have
-    turned yet to where the probe slides.
-    """
+    """Return in how many parts, at least ``increments``, to take a step whose motions by (6 p,) are
+    given: in the usual number a smooth probe moves by up to its contact's radius in each. Patches
+    that touch within a part are held from where they touched, before they have turned to where the
+    probe slides."""
     parts = increments
     for setup, rows, motions in grid.contacts.rows:
         area = float(grid.patches.area_mm2[rows][history.touched[rows]].sum())

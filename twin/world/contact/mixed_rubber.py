@@ -52,8 +52,8 @@ class _Settle(Protocol[State]):
 
 
 def _onward(state: State, before: State | None, share: float) -> State:
-    """Return a state extrapolated: with a share of its change since the state before added, without
-    one since rest."""
+    """Return a state extrapolated by a share of its change since the state before, or since
+    rest."""
 
     def on(name: str) -> Any:
         now = getattr(state, name)

@@ -59,7 +59,6 @@ _OVERLAP = 0.02
 
 
 def _counted_from(control: Control, pose: Floats) -> Control:
-    """Return a step's control with its motions counted from a place."""
     return replace(control, given=np.where(control.by_force, control.given, pose + control.given))
 
 
@@ -89,7 +88,7 @@ def _lifted_place(control: Control, pose: Floats, touch_z: float) -> Floats:
 
 
 def _combine_states(states: list[ContactState]) -> ContactState:
-    """Return the first probe's state with the load of all, and the other probes' states in it."""
+    """Return the first probe's state with the load of all and the other probes' states."""
     first, *others = states
     if not others:
         return first
@@ -106,7 +105,6 @@ def _stopped_at(programme: LoadProgramme, path: list[ContactState], why: object)
 
 
 def _refuse_overlap(contacts: ContactProblem, found: Equilibrium) -> None:
-    """Raise a ContactError where one probe's patch would lie inside another probe."""
     for number, (setup, _, motions) in enumerate(contacts.rows):
         for other, (_, rows, _) in enumerate(contacts.rows):
             active = found.active[rows]
@@ -128,11 +126,8 @@ def _refuse_overlap(contacts: ContactProblem, found: Equilibrium) -> None:
 
 
 def _outgrown(boxes: list[Box], contacts: ContactProblem, reached: Bools) -> bool:
-    """Make those of the contacts' boxes larger whose patches (k,) were ``reached`` up to the
-    border; whether any was.
-
-    By a tenth: where such a contact ends is not known yet.
-    """
+    """Make those of the contacts' boxes a tenth larger whose patches (k,) were ``reached`` up to
+    the border; whether any was."""
     grew = False
     for number, (_, rows, _) in enumerate(contacts.rows):
         grid = contacts.grids[number]
@@ -211,8 +206,7 @@ class _Reach:
 
 
 def _only_leaves(step: Control, number: int) -> bool:
-    """Return whether a step in time holds a probe where it is, or only draws it back: its contact
-    does not grow."""
+    """Return whether a step in time holds a probe where it is, or only draws it back."""
     own = step.of_probe(number)
     aside = np.delete(own.given, Z)
     return step.time_s > 0.0 and not (own.by_force.any() or aside.any() or own.given[Z] > 0.0)
@@ -254,7 +248,6 @@ class _OnGrid:
     reason: str = ""
 
     def take(self, programme: LoadProgramme, increments: int) -> None:
-        """Take the steps that follow those taken."""
         for count in range(len(self.path) + 1, len(programme.steps) + 1):
             step = programme.steps[count - 1]
             try:
@@ -522,7 +515,6 @@ def _frictionless_path(
 def _frictionless_step(
     programme: LoadProgramme, control: Control, pose: Floats
 ) -> tuple[ContactState, Floats]:
-    """Return the state at the end of a step, and the probes' places."""
     places = list(pose.reshape(-1, MOTIONS))
     states: list[ContactState | None] = [None] * len(programme.setups)
     touching = []
@@ -769,7 +761,6 @@ def _refuse_unguided(programme: LoadProgramme) -> None:
 
 
 def _refuse_overhang(setup: ProbeSetup) -> None:
-    """Raise a ContactError where a flat face is bound to run over the edge of a flat surface."""
     first = setup.first
     if first.level:
         return

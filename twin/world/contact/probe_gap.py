@@ -261,7 +261,7 @@ class _Smooth:
     @classmethod
     def of(cls, shape: Shape, low: Floats, high: Floats, cells: int, deep_mm: float) -> _Smooth:
         """Fit the heights of a shape between two corners (2,), mm, by least squares with so many
-        cells along a side; where the shape isn't met they go on as they like. Samples higher than
+        cells along a side; where it isn't met they go on as they like. Samples higher than
         ``deep_mm`` don't count in the distance, which is infinite where others aren't met."""
         from scipy.interpolate import NdBSpline, make_lsq_spline
 
@@ -338,7 +338,6 @@ def _tilt_of(tilt_deg: tuple[float, float, float]) -> Floats:
 
 
 def _is_flat(probe: Probe, tilt_deg: tuple[float, float, float]) -> bool:
-    """Return whether a probe touches with a flat face."""
     if not isinstance(probe, Cylinder | Pillar):
         return False
     return not any(tilt_deg) or bool(
@@ -374,7 +373,6 @@ def _shape_of(
 
 @lru_cache(maxsize=8)
 def _stl_shape(file: str, _sha256: str, tilt_deg: tuple[float, float, float]) -> _Triangles:
-    """Return the surface of an STL file, tilted."""
     from twin.geometry.closed import PROBE_SIZE_MM, Surface
 
     surface = Surface.read(file, PROBE_SIZE_MM)
@@ -383,7 +381,6 @@ def _stl_shape(file: str, _sha256: str, tilt_deg: tuple[float, float, float]) ->
 
 @lru_cache(maxsize=8)
 def _object_shape(shape: str, width_mm: float, tilt_deg: tuple[float, float, float]) -> _Triangles:
-    """Return the surface of an object, tilted."""
     from twin.geometry.objects import object_triangles
 
     return _tilted(object_triangles(shape, width_mm), tilt_deg)
@@ -739,11 +736,8 @@ class PlacedProbe:
 def _slopes(
     own: Floats, along: Floats, gap: Floats, normal: Floats, turned: Floats, turning: Floats
 ) -> Floats:
-    """Return (k, 6) the gap's derivatives where a line meets the probe.
-
-    A motion dc of the probe at the place that is met changes the gap by -(e . dc) / (e . n), e its
-    normal there.
-    """
+    """Return (k, 6) the gap's derivatives where a line meets the probe: a motion dc of the probe at
+    the place that is met changes the gap by -(e . dc) / (e . n), e its normal there."""
     slope = np.zeros((len(gap), 6))
     for i in range(len(gap)):
         if not math.isfinite(gap[i]):
@@ -884,13 +878,8 @@ def _met_by_pieces(body: Body, points: Points, direction: Floats) -> Floats:
 
 
 def _point_on_surface(body: Body, at_mm: tuple[float, ...]) -> Floats:
-    """Return (3,) the place on the sensing surface that a press names.
-
-    Raises
-    ------
-    InputError
-        It is not on the sensing surface.
-    """
+    """Return (3,) the place on the sensing surface that a press names; `InputError` where it is not
+    on that."""
     (x0, y0, z0), (x1, y1, z1) = body.bounds_mm
     if len(at_mm) == 2:
         found = body.surface_from_above(np.array([at_mm], float))[0]

@@ -210,11 +210,9 @@ def _gmres(
     """Return x with a residual of ``share`` of the right-hand side; None after `MOST_PRODUCTS`, or
     if not finite.
 
-    Notes
-    -----
     Flexible GMRES without restart (Y. Saad, SIAM J. Sci. Comput. 14 (1993) 461): preconditioned
-    vectors are kept, which saves one preconditioning. Why not SciPy's: presses with friction take
-    up to 1.5 times as long.
+    vectors are kept, which saves one preconditioning. With SciPy's, presses with friction take up
+    to 1.5 times as long.
     """
     size = len(right)
     basis = np.empty((MOST_PRODUCTS + 1, size))

@@ -563,11 +563,8 @@ class Patches:
 
 def _tangent_rectangles(plane: Plane, cell: Floats, normals: Floats) -> tuple[Floats, Floats]:
     """Return frames (n, 3, 3) and half sizes (n, 2) of cells projected onto their own tangent
-    planes.
-
-    A projected cell is a parallelogram; the rectangle keeps its first side's length and direction,
-    and its area.
-    """
+    planes: of each parallelogram the rectangle that keeps its first side's length and direction,
+    and its area."""
     u, v, along = plane.axes
     slope = np.maximum(normals @ along, _STEEP)
     side_u = u - np.outer(normals @ u / slope, along)
@@ -613,11 +610,8 @@ def _bordering(
     middle: Floats, cell: Floats, box: Box, face: Footprint | None
 ) -> tuple[Bools, Bools]:
     """Return (n,) which cells lie outside the ellipse in a box, and which have a neighbour there,
-    or outside the box.
-
-    The ellipse counts where no face bounds a compact contact. Beyond a flat face there are no
-    neighbours.
-    """
+    or outside the box. The ellipse counts where no face bounds a compact contact; beyond a flat
+    face there are no neighbours."""
     low = np.array((box.u0, box.v0))
     high = np.array((box.u1, box.v1))
     limit = np.array(face.half_mm if face is not None else (math.inf, math.inf))

@@ -596,8 +596,8 @@ class RubberContact:
 
     def _slid(self, before: RubberContact.State, after: RubberContact.State) -> Floats:
         """Return (p, 2) how far a linear solution's probes slid as a whole so far, as does
-        `twin.world.contact.contact_problem.FrictionalContact.slid`, from the rubber that they carry
-        along; no further where points stick that touched before and carry more than a little."""
+        `twin.world.contact.contact_problem.FrictionalContact.slid`; no further where points stick
+        that touched before and carry more than a little."""
         slid = before.slid_mm.copy()
         moved = self.rubber.displacement(after.unknowns)
         for number, (touch, rows) in enumerate(zip(self.touches, self.rows, strict=True)):
@@ -727,7 +727,6 @@ class RubberContact:
     def _meet(
         self, moved: Points, pose: Floats, state: RubberContact.State, *, linear: bool
     ) -> _Met:
-        """Return how the points of all probes meet these."""
         probes = zip(self.touches, pose, self.rows, state.slid_mm, strict=True)
         parts = [
             vars(touch.meet(moved, one, state.anchors.of(rows), slid, linear=linear))
@@ -736,7 +735,6 @@ class RubberContact:
         return _Met(**{name: np.concatenate([one[name] for one in parts]) for name in parts[0]})
 
     def _rub(self, met: _Met, anchors: _Anchors) -> _Rub:
-        """Return the friction on anchored points."""
         plane = np.eye(3) - met.normal[:, :, None] * met.normal[:, None, :]
         stiff = np.where(anchors.on, self._spring, 0.0)
         held = -stiff[:, None] * np.einsum("qij,qj->qi", plane, met.away)
@@ -835,11 +833,9 @@ class RubberContact:
         self, before: RubberContact.State, free: RubberContact.State, *, linear: bool
     ) -> RubberContact.State:
         """Return ``free``, the end of a part of a step if points that touch within it slide freely,
-        with anchors where they did touch, and none where points lift off.
-
-        A point slides until the probe has come as near as it was away, which under a smooth probe
-        goes as the power 2/3 of its gap (1/2 from rest).
-        """
+        with anchors where they did touch, and none where points lift off. A point slides until the
+        probe has come as near as it was away, under a smooth probe as the power 2/3 of its gap (1/2
+        from rest)."""
         on = before.anchors.on & (free.pressure > 0.0)
         first = self.rubber.displacement(before.unknowns)
         last = self.rubber.displacement(free.unknowns)

@@ -417,7 +417,6 @@ class _PointBasis:
 
     @cached_property
     def inside(self) -> bool:
-        """Whether all points are in the box."""
         sideways, depth = np.abs(self.points[:, :2]), self.points[:, 2]
         return bool((sideways <= self.box_mm[:2]).all() and (depth <= self.box_mm[2]).all())
 
@@ -538,7 +537,7 @@ def _axes(window: tuple[float, float], box: tuple[float, float, float]) -> list[
 
 def _mirrored(quarter: Floats) -> Floats:
     """Return (x', y', force, displacement, x, y, z) for all places of the force from those with x',
-    y' >= 0: across a mirror, components of force and field along its normal change sign."""
+    y' >= 0: a mirror changes the sign of force and field along its normal."""
     whole = quarter
     for axis, size in ((0, SIZES[1]), (1, SIZES[2])):
         sign = np.where(np.arange(3) == axis, -1.0, 1.0)

@@ -169,7 +169,6 @@ class CoveredCompliance:
 
     @cached_property
     def _coarser(self) -> CoveredCompliance:
-        """The same on coarser meshes, by whose result the error is estimated."""
         rank = WORLD.index("coarse" if self.level == "nominal" else self.level)
         return CoveredCompliance(
             self.body,
@@ -309,7 +308,6 @@ class Ladder:
         self._places: list[tuple[Level, Points, Floats, Compliance]] = []
 
     def _at(self, level: Level) -> Compliance:
-        """Return the compliance on one level."""
         if level not in self._rungs:
             self._rungs[level] = Compliance(
                 self._body,
@@ -361,7 +359,7 @@ class Ladder:
 
     def _steep(self, level: Level, load: Rectangles) -> tuple[Points, Floats]:
         """Return the places (k, 3) of rectangles that leave more out of balance beside them than
-        the level's elements follow, and the width (k,) of that, mm."""
+        the level's elements follow, and its width (k,), mm."""
         body = self._body
         if len(load) == 0:
             return load.centre_mm, np.zeros(0)
@@ -378,8 +376,8 @@ class Ladder:
         return load.centre_mm[steep], np.maximum(width[steep], SHORTEST * size)
 
     def _refined(self, level: Level, centres: Points, widths: Floats) -> Compliance:
-        """Return the compliance of a level whose mesh is refined around places (k, 3): one made
-        before, or a new one."""
+        """Return the compliance of a level whose mesh is refined around places (k, 3), made before
+        or new."""
         for of, around, finest, made in self._places:
             near = np.linalg.norm(centres[:, None] - around, axis=2) <= widths[:, None] / 2.0
             if of == level and (near & (finest <= 1.25 * widths[:, None])).any(axis=1).all():

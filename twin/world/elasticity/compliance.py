@@ -147,7 +147,6 @@ class Compliance:
 
     @cached_property
     def _bonded_layer(self) -> BondedLayer | None:
-        """The layer whose field is known."""
         if not (self._subtracted and self.one_material):
             return None
         return BondedLayer.of(self.body, self.material.poisson_ratio)
@@ -544,12 +543,10 @@ PIECE_MM, MOST_PIECES = 0.5, 60
 def _direct_fields(
     system: TaylorHood, body: Body, locator: Locator, loads: Sequence[Rectangles]
 ) -> Floats:
-    """Return (N, 3, m) displacement fields in mm for E = 1 MPa under m loads, without a half-space.
-
-    For soft covers, and as an independent check: it resolves only loads wider than the mesh's
-    faces. Each rectangle acts at a grid of points, moved onto the surface; totals are kept. Raises
-    an `InputError` where a load misses the surface.
-    """
+    """Return (N, 3, m) displacement fields in mm for E = 1 MPa under m loads, without a half-space:
+    for soft covers, and as an independent check, of loads wider than the mesh's faces. Each
+    rectangle acts at a grid of points, moved onto the surface; totals are kept. `InputError` where
+    a load misses the surface."""
     forces = [_consistent_forces(body, system.mesh, locator, load) for load in loads]
     return system.solve(np.stack(forces, axis=2))
 
@@ -588,5 +585,4 @@ def _region(system: TaylorHood, body: Body, rectangles: Rectangles, near: bool) 
 
 
 def _largest(moved: Points) -> float:
-    """Return the largest of the lengths of (n, 3) displacements, mm."""
     return float(np.linalg.norm(moved, axis=1).max())

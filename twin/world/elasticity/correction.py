@@ -263,8 +263,8 @@ class _Skin:
 
     @cached_property
     def spread(self) -> tuple[Floats, Floats]:
-        """Rigid motions of the nodes (N, 3, 6), and forces spread evenly over the faces, in
-        proportion to them, that add up to unit forces and torques."""
+        """Rigid motions of the nodes (N, 3, 6), and forces spread evenly over the faces that add up
+        to unit forces and torques."""
         _, areas, values = self.whole_quadrature
         size = np.linalg.norm(areas, axis=2)[..., None] * values
         weight = np.bincount(self.faces.ravel(), size.sum(axis=1).ravel(), len(self.points))
@@ -449,11 +449,8 @@ def _balance(
     out: Floats,
 ) -> None:
     """Make nodal forces (N, 3, m) of free faces balance the load and the half-space's tractions on
-    the held ones ``below``.
-
-    By the faces' quadrature they are off by 1e-4 of the load, and that bends a tall body by many
-    times its share.
-    """
+    the held ones ``below``: by quadrature they are off by 1e-4 of the load, which bends a tall
+    body."""
     on_held = np.zeros_like(out)
     columns = for_kernel(columns)
     at = _quadrature(below, np.arange(len(below.faces)), *balls, FINEST)
@@ -482,11 +479,9 @@ def _quadrature(
 def _from_afar(
     load: Rectangles, columns: Floats, *, merge: bool = True
 ) -> tuple[Rectangles, Floats]:
-    """Return point forces (c) and their values (c, 3, m) that stand for a load at a distance.
-
-    Four in every rectangle, for a wide one's spread counts far away too; those of a fine load are
-    merged into cells, unless neighbours pull in opposite directions.
-    """
+    """Return point forces (c) and their values (c, 3, m) that stand for a load at a distance: four
+    in every rectangle, for a wide one's spread counts far away too; those of a fine load merged
+    into cells, unless neighbours pull in opposite directions."""
     corners = np.array([(s, t) for t in GAUSS_2 for s in GAUSS_2])
     offsets = np.einsum("sa,ka,kai->ksi", corners, load.half_mm, load.frames[:, :2])
     centre = (load.centre_mm[:, None] + offsets).reshape(-1, 3)
@@ -725,11 +720,9 @@ def _near(
     n: Floats,
     g: Floats,
 ) -> None:
-    """Set t[i, j] to sigma n dA per unit force j in closed form; d, u, n, g are scratch.
-
-    In the rectangle's own footprint the applied traction is taken off, and what is left is small:
-    on the face that it presses, not on a held or free one that lies below.
-    """
+    """Set t[i, j] to sigma n dA per unit force j in closed form; d, u, n, g are scratch. In the
+    rectangle's own footprint the applied traction is taken off, and what is left is small: on the
+    face that it presses, not on a held or free one below."""
     x = frame[0, 0] * away[0] + frame[0, 1] * away[1] + frame[0, 2] * away[2]
     y = frame[1, 0] * away[0] + frame[1, 1] * away[1] + frame[1, 2] * away[2]
     z = frame[2, 0] * away[0] + frame[2, 1] * away[1] + frame[2, 2] * away[2]

@@ -71,13 +71,8 @@ def tile(load: Load, body: Body, spacing_mm: float | None = None) -> Rectangles:
 
 
 def _footprint_centre(traction: Traction, body: Body) -> Points:
-    """Return the (3,) surface point at the centre of a footprint.
-
-    Raises
-    ------
-    InputError
-        There is no sensing surface there.
-    """
+    """Return the (3,) surface point at the centre of a footprint; `InputError` where no sensing
+    surface is there."""
     centre = np.array(traction.centre_mm, float)
     if len(centre) == 2:
         centre = body.surface_from_above(centre[None])[0]
@@ -348,11 +343,9 @@ def _grid(
 
 
 def _sharpened(force: Floats, cells: Ints, number: Ints) -> Floats:
-    """Return the forces (n, 3) of grid ``cells`` less a twelfth of their Laplacian.
-
-    A tile averages a smooth traction and spreads it evenly, which widens it by side^2 / 12 each;
-    with that taken off the tiles' error is of fourth order in their side.
-    """
+    """Return the forces (n, 3) of grid ``cells`` less a twelfth of their Laplacian: a tile averages
+    a smooth traction and spreads it evenly, which widens it by side^2 / 12 each; the error left is
+    of fourth order in the side."""
     grid = np.zeros((number[0] + 2, number[1] + 2, 3))
     place = np.unravel_index(cells, tuple(number))
     inside = (place[0] + 1, place[1] + 1)

