@@ -260,8 +260,9 @@ class Light(Part):
         Emission as a table instead, of (angle to -z in degrees, share of the largest), joined by
         straight lines; 0 beyond the last.
     radius_mm
-        Radius of each LED's disc, which lies across z and is seen where the window mirrors it; 0 is
-        a point, whose mirror image has no size.
+        Radius of each LED's disc, which lies across z, shines evenly, and is seen where the window
+        mirrors it; 0 is a point, whose mirror image has no size. Fast renderers take a disc as
+        seven points, and ``renderer = "path"`` as it is.
     ambient
         Share of the brightness that comes from all sides (scattering in the body), 0 to 1. It has
         the LEDs' mean colour.

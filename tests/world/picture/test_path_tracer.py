@@ -114,18 +114,6 @@ def small(**camera):
     return changed(block(), light=WIDE, camera={"width_px": 32, "height_px": 32, **camera}, accuracy={"paths": 16384})
 
 
-def by_points(scene):
-    """Return a scene with sixteen points for each LED's disc, instead of seven."""
-    turn = np.pi * (3 - np.sqrt(5)) * np.arange(16)
-    away = scene.light.radius_mm * np.sqrt((np.arange(16) + 0.5) / 16)
-    points = [
-        (x + a, y + b, z)
-        for x, y, z in scene.light.positions_mm
-        for a, b in zip(away * np.cos(turn), away * np.sin(turn), strict=True)
-    ]
-    return changed(scene, light={"positions_mm": points, "radius_mm": 0.0, "colours": ((1 / 16,) * 3,) * len(points)})
-
-
 def stock_picture(tmp_path, scene, markers, exposure, paths, cover=None):
     """Return what stock Mitsuba makes of the files, seen through the lens that is written beside them."""
     mitsuba()
@@ -155,7 +143,7 @@ def stock_picture(tmp_path, scene, markers, exposure, paths, cover=None):
 def test_stock_mitsuba_renders_what_is_written_as_path_does(tmp_path, camera, paths, off_px):
     """Places, exposure, light between markers and the lens; bounds are the noise of stock Mitsuba's picture."""
     scene, markers = small(**camera), beads([(0, 0, 3)], 0.35)
-    traced = Renderer(by_points(scene).model_copy(update={"renderer": "path"}), markers, mitsuba())
+    traced = Renderer(scene.model_copy(update={"renderer": "path"}), markers, mitsuba())
     ours, places = traced.radiance(markers), seen_at(markers.centres, scene)
     theirs = stock_picture(tmp_path, scene, markers, traced.exposure, paths)
     assert_allclose(theirs.mean(axis=(0, 1)), ours.mean(axis=(0, 1)), rtol=0.01)

@@ -3,16 +3,16 @@
 Markers and the deformed cover are triangle meshes with Mitsuba's BSDFs, the window is its
 dielectric interfaces, and its integrator, sampler and film make the picture. Two plug-ins hand it
 the optics. `_FoldedCamera` starts its rays inside the body, in the directions of Snell's law
-(`twin.world.picture.camera_rays`). `_FoldedLeds` finds the way from a place in the body to an LED
-through the flat window, by Newton's iteration on Snell's sum for each sample. A path integrator
+(`twin.world.picture.camera_rays`). `_FoldedLeds` finds the way from a place in the body to a random
+place on an LED through the flat window, by Newton's iteration on Snell's sum. A path integrator
 that knows neither meets small LEDs behind glass by chance only: it needs some ten thousand paths a
 pixel instead of 64 (docs/picture.md).
 
 Import this module after Mitsuba's variant is set: its classes derive from that variant's.
 
-Validity: geometric optics; LEDs are the points of `twin.parts.camera.Light.points`; light that
-leaves through the window is lost. `twin.world.picture.render` adds what has no path here: the even
-share of light, and the LEDs' mirror images in the window.
+Validity: geometric optics; LEDs are points or discs that lie across z; light that leaves through
+the window is lost. `twin.world.picture.render` adds what has no path here: the even share of light,
+and the LEDs' mirror images in the window.
 """
 
 from __future__ import annotations
@@ -200,13 +200,12 @@ class _FoldedLeds(mi.Emitter):
         super().__init__(parts)
         self.m_flags = mi.EmitterFlags.DeltaPosition
         camera, light = scene.imaging
-        places, shares = light.points()
-        within = scene.body.contains(places, 0.0)
-        rows = np.column_stack([places, np.where(within, -1.0, 1.0) * shares * len(places)])
+        places = np.array(light.positions_mm)
         self._count = len(places)
-        self._leds = mi.Float(rows.astype(np.float32).ravel())
-        tints = np.broadcast_to(light.tints()[0].T, (len(places), 3))
-        self._tints = mi.Float(tints.astype(np.float32).ravel())
+        within = scene.body.contains(places, 0.0)
+        self._leds = mi.Float(np.column_stack([places, within]).astype(np.float32).ravel())
+        self._radius = light.radius_mm
+        self._powers = mi.Float((self._count * light.powers).astype(np.float32).ravel())
         self._index = scene.material.refractive_index
         self._base = scene.body.base_z_mm
         self._layers = [(layer.thickness_mm, layer.index) for layer in camera.layers]
@@ -223,10 +222,15 @@ class _FoldedLeds(mi.Emitter):
         self._per_mm = (_WINDOW / (high - low)).tolist()
 
     def sample_direction(self, seen_from: Any, sample: Any, active: Any = True) -> Any:
-        """Return the way to one of the LEDs, chosen at random, and its light."""
-        which = dr.minimum(mi.UInt32(sample.x * self._count), self._count - 1)
+        """Return the way to a place on one of the LEDs, both chosen at random, and its light."""
+        at = sample.x * self._count
+        which = dr.minimum(mi.UInt32(at), self._count - 1)
         led = dr.gather(mi.Vector4f, self._leds, which, active)
-        within = led.w < 0
+        within = led.w > 0
+        if self._radius > 0:
+            aside = mi.warp.square_to_uniform_disk(mi.Point2f(at - mi.Float(which), sample.y))
+            led.x += self._radius * aside.x
+            led.y += self._radius * aside.y
         place = mi.Vector3f(seen_from.p)
         # An LED in the body is seen straight on.
         way = mi.Vector3f(led.x, led.y, led.z) - place
@@ -239,15 +243,15 @@ class _FoldedLeds(mi.Emitter):
         in_air = dr.rsqrt(1 + p * p)
         sine = p * in_air / self._index
         cosine = dr.sqrt(1 - sine * sine)
-        aside = dr.maximum(reach, 1e-6)
-        bent = mi.Vector3f(way.x / aside * sine, way.y / aside * sine, cosine)
-        over = dr.select(reach > 1e-6, p / aside, 1 / slope)
+        sideways = dr.maximum(reach, 1e-6)
+        bent = mi.Vector3f(way.x / sideways * sine, way.y / sideways * sine, cosine)
+        over = dr.select(reach > 1e-6, p / sideways, 1 / slope)
         spread = in_air * in_air * in_air * over / (slope * cosine)
         light = self._passed(p) * spread * self._lets_in(place + bent * (depth / cosine), active)
         # Either of them.
         towards = dr.select(within, straight, bent)
         light = dr.select(within, 1 / (distance * distance), light)
-        light *= dr.abs(led.w) * self._emitted(dr.select(within, straight.z, in_air), active)
+        light *= self._emitted(dr.select(within, straight.z, in_air), active)
         found: Any = dr.zeros(mi.DirectionSample3f, dr.width(light))
         found.d = towards
         found.dist = dr.select(within, distance, depth / cosine) * _SHORT
@@ -257,9 +261,9 @@ class _FoldedLeds(mi.Emitter):
         found.pdf = mi.Float(1)
         found.delta = mi.Bool(True)
         found.emitter = mi.EmitterPtr(self)
-        tint = dr.gather(mi.Color3f, self._tints, which, active)
+        power = dr.gather(mi.Color3f, self._powers, which, active)
         arrives = mi.Bool(active) & (place.z < self._base) & (light > 0)
-        return found, tint * dr.select(arrives, light, 0)
+        return found, power * dr.select(arrives, light, 0)
 
     def _tangent(self, reach: Any, depth: Any, air: Any) -> tuple[Any, Any]:
         """Return `twin.theory.optics.air_tangents` and the derivative of the way aside there."""
