@@ -53,13 +53,34 @@ SENSORS = Room(
     "The picture under the press of each scene, brightened, and the tracked motion of its markers.",
     (
         _moved(
-            "flat", "kamiyama_pillar", "Flat sensor, 5 mm pillar: markers move away from it, the deep red ones less."
+            "flat",
+            "kamiyama_pillar",
+            "Flat sensor, 5 mm pillar: markers move away from it, the deep red ones less. The real one (Kamiyama "
+            "et al.) is a block of clear silicone with two layers of coloured beads, filmed through an acrylic "
+            "plate by a video camera, whose own chain is `kamiyama_paper`.",
         ),
         _moved("twist", "kamiyama_twist", "The same sensor under a pillar that turns about its axis."),
         _moved("shear", "kamiyama_shear", "The same sensor, pressed and pulled aside."),
-        _moved("finger", "sato_press", "The finger under a 3 mm sphere, through its fisheye lens."),
-        _moved("gelpad", "gelpad_press", "A gel pad 4 mm thick with one layer of printed dots, under a 6 mm sphere."),
-        _moved("white", "gelpad_white_dots", "The same pad with white dots under a black skin, and coloured LEDs."),
+        _moved(
+            "finger",
+            "sato_press",
+            "The finger under a 3 mm sphere, through its fisheye lens. The real one (Sato et al.) has the shape of "
+            "a fingertip, red and blue dots and a black silicone skin; `sato_paper` assumes a mosaic and JPEG for "
+            "its camera.",
+        ),
+        _moved(
+            "gelpad",
+            "gelpad_press",
+            "A gel pad 4 mm thick with one layer of printed dots, under a 6 mm sphere. Real ones, such as GelSight "
+            "with markers (Yuan et al., Sensors 17, 2762, 2017), are clear gel under a reflecting coat with dark "
+            "dots; the shape that they read from coloured light is left out here.",
+        ),
+        _moved(
+            "white",
+            "gelpad_white_dots",
+            "The same pad with white dots under a black skin, which keeps the room's light out, as pads for "
+            "tracking alone have it; coloured LEDs from four sides.",
+        ),
         _moved("dome", "dome_press", "A round dome under a 6 mm sphere beside its apex."),
     ),
 )
