@@ -89,7 +89,8 @@ class Field(Table):
     noise_px
         Noise of a shift's component as the fit has it, px: measurement and model error together.
     sd_force_n
-        (k, 3) standard deviation of the linear estimate's forces, given the prior, N.
+        (k, 3) standard deviation of the linear estimate's forces, given the prior, N: forces as
+        large as the motion shows, where a rule chose the weight.
     sd_total_n, sd_torque_nmm
         (3,) standard deviations of the totals, N and N mm: by the noise, by what the calibration
         leaves open (`Calibration.scale_error`, `Calibration.read_error`,
@@ -470,13 +471,14 @@ SETTLED = 1e-4
 class _Linear:
     """A solution of ``problem`` without bounds, for a whitened weight. ``whole``, ``off`` and
     ``bend`` are (m,) whitened data, and what wrong vectors and the camera's bend add to them;
-    ``wrong`` (m/2,) the wrong vectors."""
+    ``wrong`` (m/2,) the wrong vectors; ``likely`` the most likely weight, or a given one."""
 
     problem: Problem
     whole: Floats
     off: Floats
     bend: Floats
     weight: float
+    likely: float
     wrong: Bools
 
     @property
@@ -543,8 +545,8 @@ class _Linear:
 
     @property
     def sd_force_n(self) -> Floats:
-        """(k, 3) standard deviations given the prior, N."""
-        variance = self.problem.factors.site_variance(self.weight)
+        """(k, 3) standard deviations given the prior at the likely weight, N."""
+        variance = self.problem.factors.site_variance(self.weight, self.likely)
         return np.asarray(self.scale * np.sqrt(variance).reshape(-1, 3))
 
 
@@ -555,11 +557,11 @@ def _solved(
     factors = problem.factors
     off, bend = np.zeros_like(whole), np.zeros_like(whole)
     wrong: Bools = np.zeros(len(whole) // 2, np.bool_)
-    whitened = 0.0 if isinstance(weight, str) else float(weight) / problem.omega
+    whitened = likely = 0.0 if isinstance(weight, str) else float(weight) / problem.omega
     for count in range(MOST):
         data, before = whole - off - bend, off + bend
         if isinstance(weight, str) and count < 2 * SOFT:  # later it stays, so that this settles
-            whitened = factors.weight(weight, data)
+            whitened, likely = factors.weights(weight, data)
         if not robust and not camera:
             break
         if camera:
@@ -570,7 +572,15 @@ def _solved(
             off, wrong = _excess(residual, factors.share, freedom, leave_out=count >= SOFT)
         if count > (SOFT if robust else 0) and np.abs(off + bend - before).max() < SETTLED:
             break
-    return _Linear(problem=problem, whole=whole, off=off, bend=bend, weight=whitened, wrong=wrong)
+    return _Linear(
+        problem=problem,
+        whole=whole,
+        off=off,
+        bend=bend,
+        weight=whitened,
+        likely=likely,
+        wrong=wrong,
+    )
 
 
 def _bend_of(problem: Problem, force: Floats) -> Floats:
