@@ -76,6 +76,11 @@ class TwinError(Exception):
             "another folder (--out, TWIN_CACHE, TMPDIR), and run again."
         )
 
+    @staticmethod
+    def unreadable(path: object, problem: OSError, remedy: str = "") -> InputError:
+        """Return the error of a file that can't be read."""
+        return InputError(f"{path}: can't be read ({problem.strerror}){remedy}")
+
 
 class RecipeError(TwinError):
     """A recipe (scene, body, press) is wrong: all of its problems at once (exit code 2).

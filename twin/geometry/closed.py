@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.arrays import Floats, Ints, Points, coordinates, frozen
-from twin.errors import InputError
+from twin.errors import InputError, TwinError
 
 MOST_TRIANGLES = 400_000
 """Triangles in a file at most: a body's smooth field sees no more detail than a few thousand."""
@@ -77,9 +77,7 @@ def _read_triangles(path: Path) -> Floats:
                 )
             data = file.read(size)
     except OSError as problem:
-        raise InputError(
-            f"{path.name}: can't be read ({problem.strerror}); check the path"
-        ) from None
+        raise TwinError.unreadable(path.name, problem, "; check the path") from None
     if text:
         corners = _from_text(path, data)
     else:
@@ -207,9 +205,7 @@ class Surface:
         try:
             state = path.stat()
         except OSError as problem:
-            raise InputError(
-                f"{path.name}: can't be read ({problem.strerror}); check the path"
-            ) from None
+            raise TwinError.unreadable(path.name, problem, "; check the path") from None
         return _read_once(file, size_mm, state.st_mtime_ns, state.st_size)
 
     @staticmethod

@@ -151,11 +151,17 @@ class Rectangles:
             raise RecipeError(
                 f"{key}: some lie outside the sensing surface; reduce columns, rows or pitch_mm"
             )
+        return Rectangles.at(body, points, half_mm)
+
+    @staticmethod
+    def at(body: Body, centre_mm: Points, half_mm: float | Floats) -> Rectangles:
+        """Return rectangles under no force at (k, 3) places of a body's surface, in its frames
+        there; ``half_mm`` is their half side, or (2,) half sides."""
         return Rectangles(
-            centre_mm=points,
-            frames=body.frames(points),
-            half_mm=np.full((len(points), 2), half_mm),
-            force_n=np.zeros((len(points), 3)),
+            centre_mm=centre_mm,
+            frames=np.array(body.frames(centre_mm)),
+            half_mm=np.full((len(centre_mm), 2), half_mm),
+            force_n=np.zeros((len(centre_mm), 3)),
         )
 
 

@@ -425,12 +425,7 @@ class FittedDesign:
         body = self.scene.body
         centre = self.places.centre_mm[index]
         points = body.chart_points(body.chart_of(centre[None]) + radius * offsets)
-        return Rectangles(
-            centre_mm=points,
-            frames=body.frames(points),
-            half_mm=np.full((len(points), 2), radius / CUTS),
-            force_n=np.zeros_like(points),
-        )
+        return Rectangles.at(body, points, radius / CUTS)
 
     @staticmethod
     def shares() -> tuple[Floats, Floats]:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import InputError, TwinError
 from twin.files import write_whole
 from twin.parts.camera import Camera
 
@@ -174,7 +174,7 @@ def _table(path: Path) -> dict[str, Any]:
     try:
         data = path.read_bytes()
     except OSError as problem:
-        raise InputError(f"{path}: can't be read ({problem.strerror})") from None
+        raise TwinError.unreadable(path, problem) from None
     if len(data) > _LARGEST:
         raise InputError(f"{path}: {len(data)} bytes; a file of intrinsics is at most 1 MB")
     try:

@@ -24,7 +24,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from twin.errors import InputError, RecipeError, did_you_mean, require
+from twin.errors import InputError, RecipeError, TwinError, did_you_mean, require
 from twin.files import MESHES, SCENES
 from twin.parts.part import in_words, unit_of
 from twin.parts.press import BY_AXIS, Step
@@ -70,7 +70,7 @@ def read_recipe(path: Path) -> Table:
     try:
         data = path.read_bytes()
     except OSError as problem:
-        raise InputError(f"{path}: can't be read ({problem.strerror})") from None
+        raise TwinError.unreadable(path, problem) from None
     kinds = [kind for begins, kind in _OTHERS.items() if data.startswith(begins)]
     if path.suffix.lower() == ".stl":
         kinds = [_SURFACE]

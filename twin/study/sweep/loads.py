@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -74,13 +74,8 @@ class Pushes:
     def rectangles(self, load: int) -> Rectangles:
         """Return the patches that push under a load."""
         force = self.loads[load]
-        used = np.flatnonzero(np.any(force != 0, axis=1))
-        return Rectangles(
-            centre_mm=self.patches.centre_mm[used],
-            frames=self.patches.frames[used],
-            half_mm=self.patches.half_mm[used],
-            force_n=force[used],
-        )
+        used = np.any(force != 0, axis=1)
+        return replace(self.patches[used], force_n=force[used])
 
     def press(self, load: int, own: Press) -> Press:
         """Return the press of a scene's probe by the force of a load, in place of its patch."""
@@ -138,11 +133,8 @@ class Pushes:
         pairs = fits[1 + loads.presses :].reshape(-1, 2).all(axis=1)
         keep = np.concatenate([np.ones(1 + loads.presses, bool), np.repeat(pairs, 2)])
         points, pair = points[keep], pair[pairs]
-        frames = body.frames(points)
-        half = np.full((len(points), 2), loads.size_mm / 2)
-        patches = Rectangles(
-            centre_mm=points, frames=frames, half_mm=half, force_n=np.zeros((len(points), 3))
-        )
+        patches = Rectangles.at(body, points, loads.size_mm / 2)
+        frames = patches.frames
         # Loads: the middle along the normal, the presses with a side force in a random direction,
         # and both presses of each pair at once.
         forces = np.zeros((1 + loads.presses + len(pair), len(points), 3))

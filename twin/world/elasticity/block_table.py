@@ -25,7 +25,7 @@ import json
 import math
 import sys
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Literal
@@ -215,21 +215,21 @@ class Table:
         window, box = _window_of(body)
         axes = _axes(window, box)
         quarter = [axis.nodes[axis.nodes > -1e-12] for axis in axes[1:3]]
-        loads = [_point_force(body, x, y) for x in quarter[0] for y in quarter[1]]
+        forces = Rectangles.at(body, body.surface_from_above(grid_points(*quarter)), 0.0)
         points = grid_points(*(axis.nodes for axis in axes[3:]))
         matrix = Locator(mesh).locate(points).matrix(len(mesh.points))
-        whole = Rectangles.joined(loads)
         every = axes[0].nodes if poisson_ratio is None else np.array([poisson_ratio])
         samples = np.empty((len(every), SIZES[1], SIZES[2], 3, 3, *SIZES[3:]))
         for n, nu in enumerate(every):
             if progress:
                 progress(f"table of the block's response, nu = {nu:.2f}", n / len(every))
             system = TaylorHood(mesh, float(nu))
-            fields = correction(system, body, loads, [np.eye(3)[None]] * len(loads), 1e-7)
+            each = [forces[k : k + 1] for k in range(len(forces))]
+            fields = correction(system, body, each, [np.eye(3)[None]] * len(each), 1e-7)
             values = matrix @ fields.reshape(len(fields), -1)
             layer = BondedLayer.of(body, float(nu))
             if layer is not None and _is_compact(body):
-                values += layer.compliance(points, whole, 1.0).reshape(values.shape)
+                values += layer.compliance(points, forces, 1.0).reshape(values.shape)
             values = values.reshape(*SIZES[3:], 3, len(quarter[0]), len(quarter[1]), 3)
             samples[n] = _mirrored(np.transpose(values, (4, 5, 6, 3, 0, 1, 2)))
         for axis, place in zip(axes, (0, 1, 2, 5, 6, 7), strict=True):
@@ -565,9 +565,9 @@ def _kept(count: int) -> Bools:
 def _error(table: Table, body: Block, system: TaylorHood) -> float:
     (x, y), force = _CASE
     nu = system.poisson_ratio
-    load = _point_force(
-        body, x * table.window_mm[0], y * table.window_mm[1], force, table.box_mm[2] / 4.0
-    )
+    place = np.array([[x * table.window_mm[0], y * table.window_mm[1]]])
+    square = Rectangles.at(body, body.surface_from_above(place), table.box_mm[2] / 4.0)
+    load = replace(square, force_n=np.array([force]))
     share = np.random.default_rng(1).uniform([-1.0, -1.0, 0.05], 1.0, (200, 3))
     if not _is_compact(body):  # random points miss where a thin block moves most
         share[0] = load.centre_mm[0] / table.box_mm + [0.0, 0.0, 0.05]
@@ -582,22 +582,6 @@ def _error(table: Table, body: Block, system: TaylorHood) -> float:
             made -= of_layer
     wrong = np.linalg.norm(made - solved, axis=1).max()
     return float(wrong / np.linalg.norm(known + solved, axis=1).max())
-
-
-def _point_force(
-    body: Body,
-    x: float,
-    y: float,
-    force: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    half_mm: float = 0.0,
-) -> Rectangles:
-    centre: Points = body.surface_from_above(np.array([[x, y]]))
-    return Rectangles(
-        centre_mm=centre,
-        frames=np.array(body.frames(centre)),
-        half_mm=np.full((1, 2), half_mm),
-        force_n=np.array([force]),
-    )
 
 
 def _main(roles: list[str]) -> None:

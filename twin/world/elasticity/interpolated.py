@@ -136,12 +136,7 @@ class Region:
             size_mm=(float(size[0]), float(size[1])),
         )
         points: Points = onto_surface(offsets, self._centre, self._frame, body, whole)
-        return Rectangles(
-            centre_mm=points,
-            frames=body.frames(points),
-            half_mm=np.tile(half_mm, (len(points), 1)),
-            force_n=np.zeros((len(points), 3)),
-        )
+        return Rectangles.at(body, points, half_mm)
 
 
 class EdgeRegion(Region):
@@ -322,12 +317,7 @@ class SurfaceTable:
                 f"around the origin, comes within {clear:.3g} mm of another face or runs over it "
                 f"(allowed: {CLEAR * self._half.min():.3g} mm and more): set it to false"
             )
-        probes = Rectangles(
-            centre_mm=points,
-            frames=body.frames(points),
-            half_mm=np.full((len(points), 2), PATCH * self._half.min()),
-            force_n=np.zeros((len(points), 3)),
-        )
+        probes = Rectangles.at(body, points, PATCH * float(self._half.min()))
         self._fields = cached_field(
             field_key(system, body, probes.centre_mm, probes.half_mm),
             lambda: _coefficients(_all_solved(system, body, probes, progress), axes),
