@@ -1,10 +1,12 @@
 """The built wheel alone, without the checkout: it carries recipes and meshes, and passes quick tests."""
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -13,6 +15,11 @@ import pytest
 import twin
 
 ROOT = Path(__file__).parents[2]
+CLAIMED = [
+    line.removeprefix("Programming Language :: Python :: ")
+    for line in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["classifiers"]
+    if line.startswith("Programming Language :: Python :: ")
+]
 pytestmark = pytest.mark.slow
 
 
@@ -68,3 +75,27 @@ def test_quick_tests_pass_from_it(site: Path, tmp_path: Path) -> None:
     folders = [f"tests/{name}" for name in ("parts", "theory", "sense", "judge", "benchmarks")]
     ran = _python(site, "-m", "pytest", "-q", *folders, cwd=tmp_path)
     assert ran.returncode == 0, ran.stdout[-3000:]
+
+
+@pytest.mark.parametrize("version", CLAIMED)
+def test_every_python_that_is_claimed_gives_the_same_result(site: Path, tmp_path: Path, version: str) -> None:
+    """Install the wheel and what it needs for another Python, where this machine has one."""
+    if version == f"{sys.version_info.major}.{sys.version_info.minor}":
+        pytest.skip("all tests run by this one")
+    installed = sorted((Path.home() / ".pyenv" / "versions").glob(f"{version}.*/bin/python"))
+    python = installed[-1] if installed else shutil.which(f"python{version}")
+    if python is None:
+        pytest.skip(f"no Python {version} here")
+    (wheel,) = site.parent.glob("*.whl")
+    subprocess.run([python, "-m", "venv", tmp_path / "its"], check=True)
+    subprocess.run([tmp_path / "its/bin/pip", "install", "-q", wheel], check=True)
+    bare = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    cache = {"TWIN_CACHE": str(tmp_path / "cache")}
+    ran = subprocess.run(
+        [tmp_path / "its/bin/twin", "run", "first_press", "--out", "here"],
+        cwd=tmp_path, env=bare | cache, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stderr
+    theirs = json.loads((tmp_path / "here" / "score.json").read_text())["force"]
+    ours = twin.run("first_press").score["force"]
+    assert theirs["field_error"] == pytest.approx(ours["field_error"], rel=1e-9)
