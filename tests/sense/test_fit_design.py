@@ -23,6 +23,7 @@ class Drawing:
     def __init__(self, aside_mm=(0.0, 0.0), unsure_px=0.0):
         self.places = np.add(PLACES, [*aside_mm, 0.0])
         self.unsure = unsure_px
+        self.predictions = 0
 
     def markers(self, scaled, prints):
         found = DRAWN.copy()
@@ -37,6 +38,7 @@ class Drawing:
         return np.broadcast_to(self.unsure, presses.shift_px.shape[:2])
 
     def predict(self, scaled, rest_px, place, force_n):
+        self.predictions += 1
         flat = self.markers(scaled, 0.0)
         size = (self.seen(flat + np.eye(3)[0], scaled) - self.seen(flat, scaled))[:, :1]
         seen = np.isfinite(rest_px).all(axis=1)
@@ -77,7 +79,9 @@ def test_parameters_are_found_within_their_stated_deviations():
     off = []
     for seed in range(12):
         truth = random.normal(0, 1, 3)
-        found = Fit.of(Drawing(), measured(truth, seed))
+        design = Drawing()
+        found = Fit.of(design, measured(truth, seed))
+        assert design.predictions < 25, "differences are taken twice, not at every step"
         spread = np.sqrt(np.diag(found.covariance))
         off.append((found.scaled - truth) / spread)
         assert (spread[:2] < [0.2, 0.3]).all(), "the presses tell more than the drawing"
