@@ -69,6 +69,19 @@ def height(case, r):
     return ng.IfPos(r - meet, tip - tip * math.sin(half) + (r - meet) / math.tan(half), ball)
 
 
+def steepness(case, r):
+    """The sine of a probe's slope at a distance r from its axis."""
+    if case.get("kind", "sphere") == "sphere":
+        most, sine = 0.98, 2.0 * r / case["diameter_mm"]
+    elif case["kind"] == "cone":
+        most = math.cos(math.radians(case["apex_deg"] / 2.0))
+        sine = r / case["tip_mm"]
+    else:
+        over = r - (case["diameter_mm"] / 2.0 - case["edge_mm"])
+        most, sine = 0.98**0.5, ng.IfPos(over, over / case["edge_mm"], 0.0)
+    return ng.IfPos(sine - most, most, sine)
+
+
 def box(wide, deep, size, start=0.0):
     face = MoveTo(start, 0).Rectangle(wide, deep).Face()
     face.faces.maxh = size
@@ -227,18 +240,20 @@ class Press:
         self.form = form
 
     def spring(self, moved, depth):
-        """The square of how far points that touch are from where they came to, along the cylinder's surface."""
-        r, z, _ = self.held.anchor
-        over = r - (self.case["diameter_mm"] / 2.0 - self.case["edge_mm"])
-        sine = 0.0 if self.linear else ng.IfPos(over, over / self.case["edge_mm"], 0.0)
-        cosine = ng.sqrt(1.0 - ng.IfPos(sine - 0.99, 0.98, sine * sine))
-        here = self.own(moved, depth)
-        away = (here[0] - r) * cosine - (here[1] - z) * sine
-        return self.held.on * ng.IfPos(self.inside(moved, depth), 1.0, 0.0) * away * away
+        """The square of how far points that touch are from where they came to, along the probe's surface; by linear
+        theory along the body's."""
+        away = self.own(moved, depth) - ng.CF(tuple(self.held.anchor[:2]))
+        if self.linear:
+            down, out = self.normal()[0], self.normal()[1]
+            along = away[0] * out - away[1] * down
+        else:
+            sine = steepness(self.case, self.held.anchor[0])
+            along = away[0] * ng.sqrt(1.0 - sine * sine) - away[1] * sine
+        return self.held.on * ng.IfPos(self.inside(moved, depth), 1.0, 0.0) * along * along
 
     def own(self, moved, depth):
-        """Where points are from the probe's lowest point; by linear theory how far they moved along r."""
-        return (moved[0], 0.0 * ng.x) if self.linear else (ng.x + moved[0], ng.y + moved[1] - depth)
+        """Where points are from the probe's lowest point; by linear theory how much farther than it they moved."""
+        return ng.CF((moved[0], moved[1] - depth)) + (0.0 if self.linear else 1.0) * ng.CF((ng.x, ng.y))
 
     def remember(self):
         """Hold what has come to touch."""

@@ -1,12 +1,11 @@
 """What linear theory leaves out of presses on a curved body, of square pillars, of several probes,
-of tilted ones and of triangles, and of one probe with friction on a block or a finger, on a mesh of
-the whole body.
+of tilted ones and of triangles, and of probes with friction, on a mesh of the whole body.
 
 The mesh is the body's coarsest one, refined under the probes and at the rims of flat faces. The
 linear solution's Newton steps begin at the contact of `pressing`, the other one's at the linear
 solution, or go on from one load to the next.
 
-A probe with friction takes both solutions along its path, in the same few parts of every step. What
+Probes with friction take both solutions along their path, in the same few parts of every step. What
 touches in a part first slides freely; then friction acts from where it touched
 (`twin.world.contact.whole_body`), and the part is solved again.
 
@@ -18,9 +17,9 @@ don't settle on normals that jump. Without friction a probe that motions turn is
 tilted.
 
 Validity: rigid probes, tilted or not, pressed along their ways without friction on a block, a
-finger or a dome, triangles where they are smooth, several by forces; one that is no cone with
-friction on a block or a finger, pressed by a force, moved sideways and turned about its way, a flat
-face while a part of it sticks; nu from 0.44.
+finger or a dome, triangles where they are smooth, several by forces; with one coefficient of
+friction where forces press them, moved sideways and turned about their ways, flat faces while a
+part of them sticks; nu from 0.44.
 """
 
 from __future__ import annotations
@@ -160,6 +159,9 @@ _CLOSE = 0.3
 _SHARP_TIP = 0.5
 """A cone whose tip has a smaller radius, over the contact's, is sharp."""
 
+_RUBBED_TIP = 0.3
+"""Friction under a cone with a sharper tip, over the contact's radius, mostly doesn't settle."""
+
 _SLIPPING = 0.8
 """The largest share of a flat face with friction that may slip: points come under its front as it
 slides, and the linear solution does not settle."""
@@ -289,54 +291,62 @@ class BodyStrain(FiniteStrain):
         found = replace(found, markers=markers, indentation=sunk)
         if not self._rubs:
             return found
-        held, other = self._held(self._pair), self._held(self._other)
-        force = max(_GUIDED * self._held_share(held), self._held_share(other - held))
-        force = max(force, self._shares.across * held[:Z].any())
-        stuck = (1.0 - self._state.slip_share) * _STUCK_OVER_CUBE * self.linear_error**3
+        force = 0.0
+        for number in range(len(probes)):
+            held, other = self._held(self._pair, number), self._held(self._other, number)
+            changed = self._held_share(other - held, number)
+            across = self._shares.across * held[:Z].any()
+            force = max(force, _GUIDED * self._held_share(held, number), changed, across)
+        sticks = 1.0 - min(map(_slipping, probes))
+        stuck = sticks * _STUCK_OVER_CUBE * self.linear_error**3
         return replace(found, force=force, markers=found.markers + stuck)
 
-    def _held(self, pair: FiniteStrain.Solutions) -> Floats:
+    def _held(self, pair: FiniteStrain.Solutions, probe: int) -> Floats:
         """Return (6,) how much larger, over Young's modulus, the force is with which motions hold
-        the probe aside, and the torque about where it slid to once a motion turned it."""
+        a probe aside, and the torque about where it slid to once a motion turned it."""
         assert isinstance(pair, _Pair)
         linear, finite = pair.linear, pair.finite
-        until = self._controls[0][: self._number + 1]
+        until = self._controls[probe][: self._number + 1]
         held = ~np.array(until[-1][0])
         held[Z:] = False
         turned = any(given[TURN] and not by_force[TURN] for by_force, given in until)
         held[TURN] = turned and not until[-1][0][TURN]
-        more = finite.force[0] - linear.force[0]
-        (x, y), (along, across) = linear.slid_mm[0], linear.force[0, :Z]
+        more = finite.force[probe] - linear.force[probe]
+        (x, y), (along, across) = linear.slid_mm[probe], linear.force[probe, :Z]
         more[TURN] += x * across - y * along
         return np.where(held, more, 0.0)
 
-    def _held_share(self, more: Floats) -> float:
+    def _held_share(self, more: Floats, probe: int) -> float:
         """Return such a force over the whole force, or torque over the path's: the larger."""
-        force = self._pair.linear.force[0, : Z + 1]
+        force = self._pair.linear.force[probe, : Z + 1]
         share = float(np.linalg.norm(more[:Z]) / np.linalg.norm(force))
         if more[TURN]:
-            torque = max(abs(one.torque_nmm) for one in self._path[: self._number + 1])
+            until = self._path[: self._number + 1]
+            torque = max(abs(_probes(one)[probe].torque_nmm) for one in until)
             share = max(share, abs(more[TURN]) * self._material.youngs_modulus_mpa / torque)
         return float(share)
 
-    def more_force_n(self, patches: Rectangles) -> Floats:
+    def more_force_n(self, patches: Rectangles, probe: int) -> Floats:
         if not self._rubs:
-            return super().more_force_n(patches)
+            return super().more_force_n(patches, probe)
         # A push and a turn, over the patches as the pressure is.
-        approach, axes = self._contacts[0][0], self.axes[0]
-        held = self._held(self._pair) * self._material.youngs_modulus_mpa
+        approach, axes = self._contacts[probe][0], self.axes[probe]
+        held = self._held(self._pair, probe) * self._material.youngs_modulus_mpa
         push = held[:Z] @ axes[:Z]
         share = patches.force_n @ axes[Z] / (patches.force_n @ axes[Z]).sum()
         middle = share @ patches.centre_mm
         arm = np.cross(axes[Z], patches.centre_mm - middle)
-        from_axis = middle - approach.axis_mm - self._pair.linear.slid_mm[0] @ axes[:Z]
+        from_axis = middle - approach.axis_mm - self._pair.linear.slid_mm[probe] @ axes[:Z]
         torque = held[TURN] - np.cross(from_axis, push) @ axes[Z]
         turn = torque / float(share @ (arm**2).sum(axis=1))
         return np.asarray(share[:, None] * (push + turn * arm))
 
     def leads_to(self, path: Sequence[ContactState]) -> bool:
         """Return whether a longer path has the same mesh, so that it goes on from here."""
-        return len(_touched(path)) == len(self._contacts[0][1])
+        return all(
+            len(_touched(path, number)) == len(near)
+            for number, (_, near) in enumerate(self._contacts)
+        )
 
     def _solved(self, other: bool) -> _Pair:
         """Return both solutions on a mesh; where a press is nearly equal, on its own."""
@@ -426,7 +436,7 @@ class BodyStrain(FiniteStrain):
     def _along(
         self, contact: RubberContact, fineness: _Fineness, like: _Pair | None
     ) -> tuple[RubberContact.State, RubberContact.State]:
-        """Return both solutions at the end of the path so far of a probe with friction."""
+        """Return both solutions at the end of the path so far of probes with friction."""
         linear = finite = contact.at_rest()
         first = 0
         if like is not None:
@@ -434,10 +444,11 @@ class BodyStrain(FiniteStrain):
         for number in range(first, self._number + 1):
             parts = fineness.parts[min(number, 1)]
             if number:
-                before, after = self._path[number - 1], self._path[number]
-                aside = self.axes[0][:Z] @ (after.move_mm - before.move_mm)
-                way = float(np.linalg.norm(aside)) / after.contact_radius_mm
-                parts = max(parts, math.ceil(way / _WAY))
+                ends = zip(*map(_probes, self._path[number - 1 : number + 1]), strict=True)
+                for axes, (before, after) in zip(self.axes, ends, strict=True):
+                    aside = axes[:Z] @ (after.move_mm - before.move_mm)
+                    way = float(np.linalg.norm(aside)) / after.contact_radius_mm
+                    parts = max(parts, math.ceil(way / _WAY))
             try:
                 linear, finite = self._one_step(contact, number, parts, linear, finite)
             except NotSettled:
@@ -491,11 +502,13 @@ class BodyStrain(FiniteStrain):
         self, contact: RubberContact, before: RubberContact.State, share: Floats
     ) -> RubberContact.State:
         """Return where a part of the first step begins in the linear solution: by its depth."""
-        pose = before.pose.copy()
-        deep = share[0, Z] ** (2.0 / 3.0) * float(self.axes[0][Z] @ self._path[0].move_mm)
-        pose[0, Z] = deep
-        gap, _ = contact.touches[0].rest_gap(np.zeros(MOTIONS))
-        return replace(before, pose=pose, active=gap <= 0.5 * deep, pressure=0.0 * before.pressure)
+        pose, active = before.pose.copy(), before.active.copy()
+        for number, (touch, rows) in enumerate(zip(contact.touches, contact.rows, strict=True)):
+            there = self.axes[number][Z] @ _probes(self._path[0])[number].move_mm
+            deep = share[number, Z] ** (2.0 / 3.0) * float(there)
+            pose[number, Z] = deep
+            active[rows] = touch.rest_gap(np.zeros(MOTIONS))[0] <= 0.5 * deep
+        return replace(before, pose=pose, active=active, pressure=0.0 * before.pressure)
 
     def _at_once(
         self, contact: RubberContact, like: _Pair | None
@@ -601,6 +614,12 @@ def _probes(state: ContactState) -> tuple[ContactState, ...]:
     return (state, *state.also)
 
 
+def _slipping(state: ContactState) -> float:
+    """Return which share of the contact under one probe slips."""
+    assert state.patches is not None
+    return float(np.average(state.slip, weights=state.patches.half_mm.prod(axis=1)))
+
+
 def _place(state: ContactState) -> tuple[Floats, float]:
     """Return the middle (3,) and the radius of a contact, mm."""
     patches = state.patches
@@ -642,14 +661,6 @@ def _unsolved(press: Press, body: Body, material: Material) -> str:
         held = np.array([by_force for by_force, _ in controls])
         turned = np.abs(np.where(held, 0.0, [given for _, given in controls])).max(axis=0)
         if one.friction > 0.0:
-            if press.also:
-                return "press.also: several probes are solved without friction"
-            if isinstance(one.probe, Cone) or not isinstance(body, Block | Finger):
-                return (
-                    f"press.friction = {one.friction:g} under a {one.probe.kind} on a "
-                    f"{body.geometry()['shape']}: friction is solved under probes other than cones "
-                    "on blocks and fingers"
-                )
             if not held[:, Z].all():
                 return "press: a probe with friction is solved where a force presses it"
             if turned[ABOUT_X:TURN].any():
@@ -665,6 +676,8 @@ def _unsolved(press: Press, body: Body, material: Material) -> str:
                 f"{what} across its direction: without friction a probe that is guided along it "
                 '(press.axes = "probe", press.force_n = (0, 0, force)) is solved'
             )
+        if one.friction != press.friction:
+            return "press.also: several probes are solved with the same friction"
         if press.also and not held[:, Z].all():
             return "press.also: several probes are solved where forces press them all"
     return ""
@@ -675,13 +688,17 @@ def _unsolved_state(press: Press, state: ContactState, path: Sequence[ContactSta
     before = takewhile(lambda other: other is not state, path)
     if press.friction > 0.0 and not all(other.load.terms for other in before):
         return "press.steps: a probe with friction is solved until it is lifted"
-    slides = press.friction > 0.0 and state.slip_share > _SLIPPING
-    if slides and isinstance(press.probe, Cylinder | Pillar):
-        return "press.steps: a flat face with friction is solved while a fifth of it sticks"
     if not all(len(one.pressure_mpa) for one in _probes(state)):
         return "press: several probes are solved where all touch"
     for probe, one in zip((press, *press.also), _probes(state), strict=True):
+        flat = isinstance(probe.probe, Cylinder | Pillar)
+        if flat and press.friction > 0.0 and _slipping(one) > _SLIPPING:
+            return "press.steps: a flat face with friction is solved while a fifth of it sticks"
         middle, size = _place(one)
+        if press.friction > 0.0 and isinstance(probe.probe, Cone):
+            least = _RUBBED_TIP * size
+            if probe.probe.tip_mm < least:
+                return f"press.probe.tip_mm: a cone with friction is solved from {least:.2g} mm on"
         assert one.patches is not None
         far = np.linalg.norm(one.patches.centre_mm - middle, axis=1).max()
         if isinstance(probe.probe, Stl | Object) and far > _LONG * size:

@@ -125,7 +125,8 @@ def at_finite_strain(
     the step that fails. States that a ``memory`` has are not solved again, unless a path with
     friction needs another mesh.
     """
-    approach = Approach.of_press(press, body)
+    approaches = [Approach.of_press(one, body) for one in (press, *press.also)]
+    approach = approaches[0]
     controls = press.in_own_axes(approach.axes)
     path: list[ContactState] = []
     more: FiniteStrain | None = None
@@ -152,7 +153,7 @@ def at_finite_strain(
         except ContactError as problem:
             ContactState.keep_last(problem, path, len(controls))
             raise
-        path.append(_strained(found, one, material.law, judge))
+        path.append(_strained(found, approaches, one, material.law, judge))
         memory.strained.append((one, path[-1]))
     return replace(path[-1], path=tuple(path), complete=state.complete, reason=state.reason)
 
@@ -216,9 +217,13 @@ def _held_by_motion(
 
 
 def _strained(
-    found: _Found, asked: ContactState, law: str, judge: Callable[[PressError], None]
+    found: _Found,
+    approaches: Sequence[Approach],
+    asked: ContactState,
+    law: str,
+    judge: Callable[[PressError], None],
 ) -> ContactState:
-    """Return a state with what linear theory leaves out of it.
+    """Return a state with what linear theory leaves out of it, of these probes at first touch.
 
     ``asked`` is the linear solution of the press as it was given; where a motion holds the probe,
     an error of the indentation under a force becomes one of the force.
@@ -258,23 +263,32 @@ def _strained(
             (state, *state.also), more.moved, more.wider, more.axes, strict=True
         )
     )
-    return replace(_pushed(first, more, found.approach), also=tuple(also), estimate=estimate)
-
-
-def _pushed(state: ContactState, more: FiniteStrain, approach: Approach) -> ContactState:
-    """Return a state under the forces that hold it; the linear ones move the rubber with what they
-    leave out."""
+    pushed = [
+        _pushed(one, number, more, approach)
+        for number, (one, approach) in enumerate(zip((first, *also), approaches, strict=True))
+    ]
+    # The linear forces move the rubber with what they leave out.
     load = replace(state.load, strained=more)
+    if any(one.load is not before.load for one, before in zip(pushed, (first, *also), strict=True)):
+        under = tuple(term for one in pushed for term in one.load.terms[:1])
+        load = replace(load, terms=under, crept=state.load)
+    return replace(pushed[0], load=load, also=tuple(pushed[1:]), estimate=estimate)
+
+
+def _pushed(
+    state: ContactState, number: int, more: FiniteStrain, approach: Approach
+) -> ContactState:
+    """Return the state of one probe under the forces that hold it."""
     patches = state.patches
     assert patches is not None
-    force = more.more_force_n(patches)
+    force = more.more_force_n(patches, number)
     if not force.any():
-        return replace(state, load=load)
+        return state
     torques = np.cross(patches.centre_mm - approach.axis_mm, force).sum(axis=0)
     under = replace(patches, force_n=patches.force_n + force)
     return replace(
         state,
-        load=replace(load, terms=(under,), crept=state.load),
+        load=replace(state.load, terms=(under,)),
         force_n=state.force_n + force.sum(axis=0),
         torques_nmm=state.torques_nmm + torques,
         torque_nmm=state.torque_nmm + float(torques @ approach.axes[Z]),

@@ -200,8 +200,8 @@ class FiniteStrain:
         """Return (n, 3, 3) what to add to the gradients du_i/dx_j."""
         return self._pair.read(points, self._pair.change)[1]
 
-    def more_force_n(self, patches: Rectangles) -> Floats:
-        """Return (k, 3) what to add to the forces of the first probe's patches."""
+    def more_force_n(self, patches: Rectangles, probe: int) -> Floats:
+        """Return (k, 3) what to add to the forces of a probe's patches."""
         return np.zeros_like(patches.force_n)
 
     @cached_property
