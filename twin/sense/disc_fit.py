@@ -59,6 +59,8 @@ from twin.sense.shift_error import (
 )
 from twin.sense.soft_window import SoftWindow
 from twin.sense.template import (
+    BLUR,
+    BRIGHT,
     CENTRE,
     CENTRE_X,
     CENTRE_Y,
@@ -239,7 +241,7 @@ class DiscFit(SoftWindow):
                 rival = cls._by(picture, spot, replace(signal, own=signal.brightness), marks)
                 if rival.roughness_px < SMOOTHER * group.roughness_px:
                     group = replace(rival, templates=replace(rival.templates, coherent=True))
-            blur = medians(group.templates.shape[:, 6])
+            blur = medians(group.templates.shape[:, BLUR])
             if not blur > (SHARP_PX if group.roughness_px > ROUGH_SHARP_PX else SHARPEST_PX):
                 groups.append(spot.of_sharp(picture))
                 continue
@@ -358,7 +360,7 @@ class DiscFit(SoftWindow):
         gain = float(medians(fitted[:, LEVEL] / templates.rest[:, LEVEL]))
         if gain > RELIT_LEVEL or gain < 1.0 / RELIT_LEVEL:
             shape, ground = templates.shape.copy(), templates.ground.copy()
-            shape[:, 7] *= gain
+            shape[:, BRIGHT] *= gain
             ground[:, 0] += medians(fitted[:, GROUND] - templates.rest[:, GROUND])
             templates = replace(templates, shape=shape, ground=ground)
             fitted = templates.fit(picture, start_px, lead)
@@ -392,7 +394,7 @@ class DiscFit(SoftWindow):
         # Outlines as they are now: those at rest, grown, or a shape of their own.
         radius = templates.radius_px
         growth = (fitted[:, SCALE] - 1.0) * radius
-        outline = templates.shape[:, [0, 1, 2, 6]].copy()
+        outline = templates.shape[:, [0, 1, 2, BLUR]].copy()
         outline[:, :3] += growth[:, None] * [1.0, 0.0, 1.0]
         misfit = fitted[:, MISFIT].copy()
         if odd.any():
@@ -454,12 +456,12 @@ class DiscFit(SoftWindow):
         # Sizes stay relative to the shape at rest.
         taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
         if templates.coherent:  # errors at rest show less by a sharper outline than they are
-            taken &= shape[:, 6] > SHARPER * known[:, 6]
+            taken &= shape[:, BLUR] > SHARPER * known[:, BLUR]
         area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, known))
         fitted[taken] = again[taken]
         fitted[taken, SCALE] *= np.sqrt(area / before)[taken]
         fitted[taken, RESHAPED] = OWN_SHAPE
-        outline[taken] = shape[taken][:, [0, 1, 2, 6]]
+        outline[taken] = shape[taken][:, [0, 1, 2, BLUR]]
         return templates, misfit
 
     @cached_property
@@ -491,7 +493,7 @@ class DiscFit(SoftWindow):
         fitting = templates.rest[:, FITTING]
         fits = fitted[:, FITTING] / np.where(fitting > 0.0, fitting, np.nan)  # 0: refused at rest
         # one that has grown beyond what is looked at seems dim: no ground around it is in sight
-        odd |= (scale * templates.radius_px + templates.shape[:, 6] > templates.reach_px) & (
+        odd |= (scale * templates.radius_px + templates.shape[:, BLUR] > templates.reach_px) & (
             fits < FITS
         )
         low, middle, high = quantiles(scale, 0.25, 0.5, 0.75)
@@ -582,7 +584,7 @@ class DiscFit(SoftWindow):
             [
                 (outline[:, :3] - templates.shape[:, :3]) / radius[:, None],
                 fitted[:, LEVEL] / templates.level,
-                outline[:, 3] / templates.shape[:, 6],
+                outline[:, 3] / templates.shape[:, BLUR],
             ]
         )
         usual, spread = self.around.usual(measured, fine, rows)
@@ -608,7 +610,7 @@ class DiscFit(SoftWindow):
             axes_sd=axes_sd * radius[rows],
             level=level,
             level_sd=np.hypot(np.where(unknown, OPEN_LEVEL, KNOWN_LEVEL), spread[:, 3]) * level,
-            blur=templates.shape[rows, 6] * usual[:, 4],
+            blur=templates.shape[rows, BLUR] * usual[:, 4],
             bare=cut[rows],
         )
 

@@ -30,6 +30,9 @@ from twin.sense.colour import LUMA, Flaws
 from twin.sense.match import Neighbourhood
 from twin.sense.shape_fit import fit_shapes
 from twin.sense.template import (
+    BLUR,
+    BRIGHT,
+    BULGE,
     CENTRE,
     COLUMNS,
     FITTING,
@@ -280,8 +283,8 @@ class LayerSignal:
                 *seen, few, reach, noise, USUAL_BLUR_PX, free_bulge=True, free_blur=True
             )
             good = np.isfinite(first[:, 0])
-            blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
-            bulge = float(np.median(first[good, 5])) if good.any() else 0.0
+            blur = float(np.median(first[good, BLUR])) if good.any() else USUAL_BLUR_PX
+            bulge = float(np.median(first[good, BULGE])) if good.any() else 0.0
             reach = 0.65 * diameter_px + 2.0 * blur + MARGIN_PX
             shape = fit_shapes(*seen, radius, reach, noise, blur, bulge)
         # Markers that could not be fitted have the median shape.
@@ -292,23 +295,22 @@ class LayerSignal:
         slopes = _share_slopes(shape, places, good, picture.shape)
         axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1)
         margin = np.fmax(MARGIN_PX, GROWS * axes)
-        reach = float(np.nanmax(axes + shape[:, 6] + margin, initial=3.0 + MARGIN_PX))
+        reach = float(np.nanmax(axes + shape[:, BLUR] + margin, initial=3.0 + MARGIN_PX))
         unknown = np.zeros((count, COLUMNS))
         unknown[:, [MISFIT, FITTING]] = 1.0
+        ground = shape[:, SHAPE + 2]
         templates = Templates(
             own=own,
             others=others,
             sites=self.sites,
             shape=for_kernel(shape[:, :SHAPE]),
-            ground=_evenly_lit(
-                np.where(np.abs(shape[:, SHAPE + 2]) > 0.5 * shape[:, 7], shape[:, SHAPE + 2], 0.0)
-            ),
+            ground=_evenly_lit(np.where(np.abs(ground) > 0.5 * shape[:, BRIGHT], ground, 0.0)),
             ground_slopes=ground_slopes,
             noise=noise,
             gain=1.0,
             slopes=slopes,
             usual_misfit=1.0,
-            level=shape[:, 7].copy(),
+            level=shape[:, BRIGHT].copy(),
             reach_px=reach,
             coherent=False,
             rest=unknown,
@@ -419,7 +421,7 @@ def in_other_light(
     # A slope of the ground moves a centre by the sum of edge times slope over that of the edge
     # squared; one of the marker, about as the mean of both.
     shape, radius = templates.shape, templates.radius_px
-    edge = 5.0 / 7.0 * level * (1.0 + shape[:, 5]) / shape[:, 6]
+    edge = 5.0 / 7.0 * level * (1.0 + shape[:, BULGE]) / shape[:, BLUR]
     moves = np.abs(ground) * radius / edge + 0.25 * np.abs(whole) / level * radius**2
     sd = np.sqrt(fitted[:, VAR_X])
     step = np.abs(change[near[:, 0]] - change) * moves / (around.spacing_px * sd)

@@ -131,8 +131,9 @@ def gather(image, own, others, sites, column, row, offset, runs, signal, use):
 
 
 SHAPE = 8
-"""Numbers of a template: semi-axes xx, xy, yy in px; slope x, y in 1/px; bulge; half width of the
-blur in px; level."""
+BULGE, BLUR, BRIGHT = range(5, 8)
+"""Numbers of a template: semi-axes xx, xy, yy in px; slope x, y in 1/px; then, by name, bulge, half
+width of the blur in px, and level."""
 
 CENTRE_X, CENTRE_Y, LEVEL, GROUND, SCALE, VAR_X, VAR_Y, EDGE, SQUARES = range(9)
 PIXELS, STEP, MISFIT, FITTING, THIRD_X, THIRD_Y, SHORTFALL, ONE_SIDED = range(9, 17)
@@ -691,7 +692,7 @@ class Templates:
     @property
     def blur_px(self) -> Floats:
         """(n,) standard deviation of the blur, px: of a biweight, half its width over root 7."""
-        return np.asarray(self.shape[:, 6] / np.sqrt(7.0))
+        return np.asarray(self.shape[:, BLUR] / np.sqrt(7.0))
 
     @cached_property
     def radius_px(self) -> Floats:

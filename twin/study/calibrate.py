@@ -337,7 +337,7 @@ def _by_thickness(sensor: Sensor, made: Calibration, more: float) -> Floats:
 
     It is solved for at every other site, in half the time.
     """
-    from twin.study.fitted_design import FittedDesign
+    from twin.study.fitted_design import from_every_other_site
 
     thicker = Sensor(sensor.nominal.thicker(more), sensor.progress)
 
@@ -345,7 +345,7 @@ def _by_thickness(sensor: Sensor, made: Calibration, more: float) -> Floats:
         found = _nominal_transfer(thicker, sensor.sites[chosen])
         return found - made.transfer[:, np.repeat(chosen, 3)]
 
-    return FittedDesign.at_every_other(made.grid, change)
+    return from_every_other_site(made.grid, change)
 
 
 def nominal_calibration(sensor: Sensor, compliance: Floats) -> Calibration:

@@ -318,28 +318,7 @@ class FittedDesign:
             there = body.to_points(markers, sites[chosen], moving=True)
             return there - less[:, np.repeat(chosen, 3)]
 
-        return self.at_every_other(grid, change)
-
-    @staticmethod
-    def at_every_other(grid: tuple[int, int], change: Callable[[Bools], Floats]) -> Floats:
-        """Return (m, 3k) values at all sites of a grid (columns, rows), by splines between those
-        of ``change``: from (k,) which sites to (m, 3c) values there.
-
-        For what is smooth, such as what a thicker body changes: on three pads 2.5 to 3 % of its
-        size off, 7.5 % where the drawn body has a stored table (another mesh).
-        """
-        from scipy.interpolate import make_interp_spline
-
-        few = [np.unique(np.append(np.arange(0, count, 2), count - 1)) for count in grid]
-        chosen = np.zeros(grid, np.bool_)
-        chosen[np.ix_(*few)] = True
-        values = change(chosen.ravel())
-        values = values.reshape(len(values), *map(len, few), 3)
-        for axis, (at, count) in enumerate(zip(few, grid, strict=True), start=1):
-            degree = min(3, len(at) - 1)
-            spline = make_interp_spline(at, values, degree, axis=axis, check_finite=False)
-            values = spline(np.arange(count))  # what a picture doesn't show stays NaN
-        return np.asarray(values.reshape(len(values), -1))
+        return from_every_other_site(grid, change)
 
     def _by_half_space(self, markers: Points, sites: Rectangles, step: float) -> Floats:
         """Return (3n, 3k) mm/N that a half-space of the drawn rubber gains where its Poisson's
@@ -447,3 +426,24 @@ class FittedDesign:
         offsets = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
         keep = cells[0] > 0
         return offsets[keep], cells[:, keep] / cells.sum(axis=1, keepdims=True)
+
+
+def from_every_other_site(grid: tuple[int, int], change: Callable[[Bools], Floats]) -> Floats:
+    """Return (m, 3k) values at all sites of a grid (columns, rows), by splines between those
+    of ``change``: from (k,) which sites to (m, 3c) values there.
+
+    For what is smooth, such as what a thicker body changes: on three pads 2.5 to 3 % of its
+    size off, 7.5 % where the drawn body has a stored table (another mesh).
+    """
+    from scipy.interpolate import make_interp_spline
+
+    few = [np.unique(np.append(np.arange(0, count, 2), count - 1)) for count in grid]
+    chosen = np.zeros(grid, np.bool_)
+    chosen[np.ix_(*few)] = True
+    values = change(chosen.ravel())
+    values = values.reshape(len(values), *map(len, few), 3)
+    for axis, (at, count) in enumerate(zip(few, grid, strict=True), start=1):
+        degree = min(3, len(at) - 1)
+        spline = make_interp_spline(at, values, degree, axis=axis, check_finite=False)
+        values = spline(np.arange(count))  # what a picture doesn't show stays NaN
+    return np.asarray(values.reshape(len(values), -1))

@@ -24,7 +24,6 @@ from twin.study.batch.pool import only_writer
 from twin.study.check import check_path
 from twin.study.dataset import create
 from twin.study.dataset.plan import Plan
-from twin.study.dataset.sample import ShardBytes
 
 
 @pytest.fixture(scope="module")
@@ -442,10 +441,10 @@ def test_time_is_estimated_once_from_cpu_seconds_of_samples_and_sensors(monkeypa
     cpu = [0.0]
     monkeypatch.setattr("twin.study.batch.pool.cache_folder", lambda: tmp_path)
 
-    def takes(*seconds: float) -> Callable[[Path, int], ShardBytes]:
-        def work(folder: Path, number: int) -> ShardBytes:
+    def takes(*seconds: float) -> Callable[[Path, int], SimpleNamespace]:
+        def work(folder: Path, number: int) -> SimpleNamespace:
             cpu[0] += seconds[number % len(seconds)]
-            return ShardBytes(b"", b"", 0, "")
+            return SimpleNamespace(samples=b"", sensors=b"", failed=0, reason="")
 
         return work
 

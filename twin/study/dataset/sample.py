@@ -294,7 +294,7 @@ def _actual(scene: Scene) -> Table:
 
 
 @dataclass(frozen=True)
-class ShardBytes:
+class _ShardBytes:
     """A finished shard: its files' contents, how many samples failed, and the first reason.
 
     There are no sensors if all of its samples are pressed on those of earlier shards.
@@ -346,7 +346,7 @@ def _working(folder: Path) -> Iterator[_Workshop]:
         cache_folder.cache_clear()
 
 
-def make_shard(folder: Path, shard: int) -> ShardBytes:
+def make_shard(folder: Path, shard: int) -> _ShardBytes:
     """Return a shard's files."""
     with _working(folder) as shop:
         plan = shop.plan
@@ -374,7 +374,7 @@ def make_shard(folder: Path, shard: int) -> ShardBytes:
             rows += new
         words = {"twin.content": shop.content, "twin.samples": f"{numbers.start}-{numbers.stop}"}
         ours = [row for number, row in sensors.items() if number in firsts]
-        return ShardBytes(
+        return _ShardBytes(
             samples=_parquet(rows, plan.row_columns, words),
             sensors=_parquet(ours, plan.sensor_columns, words) if ours else None,
             failed=failed,
