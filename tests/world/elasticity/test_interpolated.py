@@ -1,5 +1,7 @@
 """Tables of a curved surface: exact at the grid's patches, near solves between them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -25,13 +27,8 @@ def finger(surface):
 
 
 def patch(chart, force=(0.2, -0.1, 1.0)):
-    centre = FINGER.chart_points(np.array([chart], float))
-    return Rectangles(
-        centre_mm=centre,
-        frames=FINGER.frames(centre),
-        half_mm=np.full((1, 2), PATCH * HALF),
-        force_n=np.array([force], float),
-    )
+    square = Rectangles.at(FINGER, FINGER.chart_points(np.array([chart], float)), PATCH * HALF)
+    return replace(square, force_n=np.array([force], float))
 
 
 @pytest.fixture(scope="module")
@@ -142,12 +139,7 @@ def grid(columns, rows, half, turned=False):
     x, y = (one.ravel() for one in np.meshgrid(*place))
     keep = np.abs(x / x.max()) + np.abs(y / y.max()) < 1.2 if turned else np.full(len(x), True)
     centre = np.column_stack([x, y, 0 * x])[keep]
-    return Rectangles(
-        centre_mm=centre,
-        frames=NARROW.frames(centre),
-        half_mm=np.full((len(centre), 2), half),
-        force_n=np.random.default_rng(3).uniform(0, 1, (len(centre), 3)),
-    )
+    return replace(Rectangles.at(NARROW, centre, half), force_n=np.random.default_rng(3).uniform(0, 1, centre.shape))
 
 
 BESIDE = [(grid(15, 15, 0.25), 4e-3), (grid(18, 18, 0.2, turned=True), 5e-4), (grid(100, 4, 0.15), 5e-4)]
