@@ -85,7 +85,9 @@ class Seen:
     """What one signal of a picture shows; rows are its markers, fields as in
     `twin.sense.track.Found`.
 
-    ``coherence`` is how many times as large as by single pixels' noise the errors are.
+    ``coherence`` is how many times as large as by single pixels' noise the errors are; ``light``
+    (n,) the logarithm of what the markers' brightness has changed by, where that is not the same
+    for neighbours, else NaN.
     """
 
     shift_px: Pixels
@@ -93,6 +95,7 @@ class Seen:
     state: NDArray[np.uint8]
     spurious_px: Pixels | None = None
     coherence: float = 1.0
+    light: Floats | float = np.nan
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels, medians
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, medians, spacing
 from twin.compiled import njit
 from twin.errors import InputError
 from twin.sense.template import MARGIN_PX, disc
@@ -134,6 +134,57 @@ class Flaws:
             return picture
         since = np.interp(np.arange(len(change)), rows, change[rows])[:, None]
         return _dimmed(picture, since * self.bands)
+
+    @staticmethod
+    def as_rows_at_rest(
+        picture: Picture, change: Floats, places: Pixels, layer: NDArray[np.str_]
+    ) -> Picture | None:
+        """Return a picture less what the light of its rows has changed by since rest, as markers
+        show it where their ground is too dark to: mains make light a wave with an octave.
+
+        Parameters
+        ----------
+        picture
+            (h, w, 3) counts.
+        change, places
+            (n,) logarithm of what their brightness has changed by, and (n, 2) where they are, px;
+            NaN where not known.
+        layer
+            (n,) their layers, each of which may have changed by a factor of its own.
+
+        Returns
+        -------
+        None where the change is not one of rows: neither half of the picture, left and right, may
+        leave more than `UNLIKE_ROWS` of the other's.
+        """
+        known = np.flatnonzero(np.isfinite(change + places[:, 1]))
+        if len(known) < LEAST_MARKERS:
+            return None
+        height = len(picture)
+        change, (column, row) = change[known], places[known].T / height
+        which = layer[known][:, None] == np.unique(layer[known])
+        change = change - which @ medians(np.where(which, change[:, None], np.nan))
+        # how many waves leave least, by ever smaller steps, of which the first turns ends by 1/8
+        most = height / (ROWS_A_WAVE * spacing(places[known]))
+        step = 0.125 / np.ptp(row)
+        tried = np.arange(2.0 * step, most, step)
+        if not len(tried):
+            return None
+        for _ in range(3):
+            terms = [np.hstack([which, _waves(row, each, most)]) for each in tried]
+            left = [np.sum((change - one @ _bounded_fit(one, change, 1)) ** 2) for one in terms]
+            best = int(np.argmin(left))
+            number, best_terms = tried[best], terms[best]
+            step /= 4.0
+            tried = number + step * np.arange(-4, 5)
+        half = column < medians(column)
+        for part in (half, ~half):
+            off = change - best_terms @ _bounded_fit(best_terms[part], change[part])
+            if medians(np.abs(off[~part])) > UNLIKE_ROWS * medians(np.abs(change[~part])):
+                return None
+        factors = _bounded_fit(best_terms, change)[which.shape[1] :]
+        light = _waves(np.arange(height) / height, number, most) @ factors
+        return _dimmed(picture, np.exp(light - medians(light))[:, None])
 
     @staticmethod
     def covered(picture: Picture, marks_px: Pixels, radius: float) -> Bools:
@@ -350,6 +401,34 @@ def _level_rows(picture: Picture, ground: Floats) -> Picture:
     level -= np.polynomial.Polynomial.fit(place, level, TREND)(place)
     by = np.interp(np.arange(len(picture)), rows, level)
     return _in_counts(picture - by[:, None, None], picture)
+
+
+ROWS_A_WAVE, LEAST_MARKERS, UNLIKE_ROWS = 2.2, 20, 0.7
+"""Least length of a wave of light over rows, in distances of markers, that these show; how many
+markers show it; and the share of the change, median, that one half of the picture's may leave of
+the other's."""
+
+
+def _waves(row: Floats, number: float, most: float) -> Floats:
+    """Return (n, 3 or 5) a slope, a ``number`` of waves a picture, and the octave of these unless
+    it is more than ``most``, at each ``row`` (n,), in heights of the picture."""
+    phase = 2.0 * np.pi * number * row[:, None] * [1.0, 2.0]
+    phase = phase[:, : 2 if 2.0 * number < most else 1]
+    return np.hstack([row[:, None], np.cos(phase), np.sin(phase)])
+
+
+def _bounded_fit(terms: Floats, values: Floats, turns: int = 3) -> Floats:
+    """Return (m,) by what factors ``terms`` (n, m) add up to ``values`` (n,): least squares,
+    outliers bounded from the second of the ``turns`` on."""
+    weight: Floats = np.ones(len(values))
+    factors: Floats = np.zeros(terms.shape[1])
+    for _ in range(turns):
+        factors = np.asarray(
+            np.linalg.lstsq(terms * weight[:, None], weight * values, rcond=1e-6)[0], float
+        )
+        off = np.abs(values - terms @ factors)
+        weight = np.sqrt(np.fmin(2.0 * 1.4826 * medians(off) / np.fmax(off, 1e-9), 1.0))
+    return factors
 
 
 def _dimmed(picture: Picture, by: Floats) -> Picture:

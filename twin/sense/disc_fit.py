@@ -72,6 +72,7 @@ from twin.sense.template import (
     GROUND,
     LEAST_SPREAD,
     LEVEL,
+    LIT,
     MARGIN_PX,
     MISFIT,
     OWN_PICTURE,
@@ -364,15 +365,20 @@ class DiscFit(SoftWindow):
             ground[:, 0] += medians(fitted[:, GROUND] - templates.rest[:, GROUND])
             templates = replace(templates, shape=shape, ground=ground)
             fitted = templates.fit(picture, start_px, lead)
-        if now := in_other_light(picture, templates, fitted, self.around, self._light_at_rest):
-            templates, fitted = now
+        relit = in_other_light(picture, templates, fitted, self.around, self._light_at_rest)
+        light = fitted[:, LIT].copy()
+        if relit:
+            templates, fitted = relit
         cut = self._cut(fitted, start_px)
         if self.pictures:
             self.pictures.fit(picture, templates, fitted, self.around)
             cut &= fitted[:, RESHAPED] != OWN_PICTURE
         if not (np.fmax.reduce(fitted[:, DOUBTED]) > 0.0 or cut.any()):
+            fitted[:, LIT] = light
             return fitted  # nearly always
-        return self._refit(picture, templates, fitted, cut, start_px)
+        fitted = self._refit(picture, templates, fitted, cut, start_px)
+        fitted[:, LIT] = light
+        return fitted
 
     def _refit(
         self, picture: Picture, templates: Templates, fitted: Floats, cut: Bools, start_px: Pixels
@@ -690,7 +696,13 @@ class DiscFit(SoftWindow):
         correction, sd, coherence = errors.stated()
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
-        return Seen(shift_px=shift + correction, sd_px=sd, state=state, coherence=coherence)
+        return Seen(
+            shift_px=shift + correction,
+            sd_px=sd,
+            state=state,
+            coherence=coherence,
+            light=fitted[:, LIT],
+        )
 
 
 def _brightness(picture: Picture) -> float:

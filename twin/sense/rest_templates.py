@@ -39,6 +39,7 @@ from twin.sense.template import (
     GROUND,
     LEVEL,
     LINEAR,
+    LIT,
     MARGIN_PX,
     MISFIT,
     NO_RUNS,
@@ -428,6 +429,7 @@ def in_other_light(
     known = np.isfinite(step)
     if np.count_nonzero(known) < LINEAR or not np.mean(step[known] ** 2) > RELIT**2:
         return None
+    fitted[:, LIT] = change
     # less what markers that have moved see of the light at rest
     change -= ((place - templates.rest[:, CENTRE]) * slope_before).sum(axis=1)
     slope, off, left = around.slopes(change, place)

@@ -401,22 +401,32 @@ def track_frame(
         )
     picture = rest.flaws.mended(picture)
     if rest.flaws.ground is None:
-        return _measured(rest, picture, start_px, whole)
+        # light that flickers may show on markers alone
+        found, light = _measured(rest, picture, start_px, whole)
+        now_px = rest.rest_px + found.shift_px
+        even = Flaws.as_rows_at_rest(picture, light, now_px, rest.layer)
+        if even is None:
+            return found  # nearly always
+        again, _ = _measured(rest, even, found.shift_px)
+        return replace(again, spurious_px=found.spurious_px)
     # A light that flickers has dark and bright rows in every picture, which show on the ground.
     shift_px = np.zeros_like(rest.rest_px) if start_px is None else start_px
     for _ in range(2):
         even = rest.flaws.without_bands(picture, rest.rest_px + shift_px, *rest.ground_px)
-        found = _measured(rest, even, start_px, whole)
+        found, _ = _measured(rest, even, start_px, whole)
         if not found.seen.any():
             break
         shift_px = found.shift_px
     return found
 
 
-def _measured(rest: Rest, picture: Picture, start_px: Pixels | None, whole: bool = False) -> Found:
-    """Measure the motion as `track_frame` does, in a ``picture`` less the camera's flaws."""
+def _measured(
+    rest: Rest, picture: Picture, start_px: Pixels | None, whole: bool = False
+) -> tuple[Found, Floats]:
+    """Measure the motion as `track_frame` does, in a ``picture`` less the camera's flaws, and
+    (N,) what the light has changed by, see `Seen`."""
     shift, drift = np.full(rest.rest_px.shape, np.nan), np.zeros(rest.rest_px.shape)
-    sd = np.full(len(rest.rest_px), np.nan)
+    sd, light = np.full((2, len(rest.rest_px)), np.nan)
     state = np.full(len(rest.rest_px), MISSING, np.uint8)
     usual = rest.usual_sd_px.copy()
     spurious: list[Pixels] | None = []
@@ -430,6 +440,7 @@ def _measured(rest: Rest, picture: Picture, start_px: Pixels | None, whole: bool
         if rest.film:  # that edges look alike proves nothing where a codec repeats them
             film = REPEATING / min(seen.coherence, 1.0)
         shift[rows], sd[rows], state[rows] = seen.shift_px, film * seen.sd_px, seen.state
+        light[rows] = seen.light
         drift[rows] = group.drift_px
         usual[rows] *= film * seen.coherence
         spurious = (
@@ -445,7 +456,7 @@ def _measured(rest: Rest, picture: Picture, start_px: Pixels | None, whole: bool
     state[~lost & (state != STRAINED) & (state != PARTLY_HIDDEN)] = SEEN
     for array in (shift, sd, state, usual, drift):
         frozen(array)
-    return Found(
+    found = Found(
         rest_px=rest.rest_px,
         shift_px=shift,
         sd_px=sd,
@@ -458,3 +469,4 @@ def _measured(rest: Rest, picture: Picture, start_px: Pixels | None, whole: bool
         gain_error=max(group.gain_error for group in rest.groups),
         drift_px=drift,
     )
+    return found, light
