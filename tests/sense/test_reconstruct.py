@@ -261,6 +261,8 @@ def test_factors_of_some_markers_are_their_own_and_round_off_chooses_no_weight(l
     some, own = Factors.of(h, penalty).of_some(rows, scale), Factors.of(scale[:, None] * h[rows], penalty)
     data, ways = scale * (h[rows] @ random.normal(0, 1, 60)), random.normal(0, 1, (3, 60))
     largest = own.singular.max() ** 2
+    used, likely = own.weights("auto", data)
+    assert used <= 10 * likely, "such data don't state how large forces are"
     for weight in weights:
         assert_allclose(some.forces(data, weight), own.forces(data, weight), rtol=1e-8)
         assert_allclose(some.covariance(weight, ways), own.covariance(weight, ways), rtol=1e-8)

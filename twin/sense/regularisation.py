@@ -54,6 +54,10 @@ ROBUSTNESS = 0.3
 LIKELY = 2.0
 """What the most likely weight is raised by where none is given."""
 
+MOST_RAISED = 10.0
+"""What the likely weight is raised by at most, 2 to 5 on the flat sensor. Where few markers are
+seen, any small weight explains their motion and says nothing of how large forces are."""
+
 ROUND_OFF = 1e-14
 """Squared singular values of a weighted problem, over the largest, that are round-off."""
 
@@ -269,11 +273,11 @@ class Factors:
         return self.weights(rule, data)[0]
 
     def weights(self, rule: WeightRule, data: Floats) -> tuple[float, float]:
-        """Return `weight`, and the most likely one, by which forces are as large as the data show
-        them."""
+        """Return `weight`, and the most likely one (`MOST_RAISED`), by which forces are as large
+        as the data show them."""
         seen = self._spectrum(data)
         used = RULES[rule](seen)
-        return used, used if rule == "likelihood" else _most_likely(seen)
+        return used, max(_most_likely(seen), used / MOST_RAISED)
 
     def freedom(self, weight: float) -> float:
         """Return the degrees of freedom of the residual over the number of data."""

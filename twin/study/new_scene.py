@@ -22,14 +22,21 @@ SILICONE, ACRYLIC = 1.41, 1.49
 PLATE_MM = 3.0
 """Thickness of the plate, but for cameras that are close."""
 
-SEEN = 0.95
-"""Share of the picture that dots may lie in."""
+SEEN, TILT = 0.95, math.radians(0.2)
+"""Share of the picture that dots may lie in, and the camera's tolerance of tilt, of which two
+standard deviations fit beside them: it moves a far camera's picture much."""
 
 MOST_SITES = 29
 """Columns or rows of the forces' grid, but on long strips."""
 
 LEAST_DOTS = 3
 """Columns or rows of dots."""
+
+WIDE, WIDE_PX = 0.36, 4.0
+"""Usual diameter of a dot, over the pitch, and its least in the picture."""
+
+FAR = 2.0
+"""Distance of the lens, over the one that shows all dots, from which on a nearer one is named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,24 +101,29 @@ class Pad:
 def _in_range(option: str, value: float, unit: str, low: float, high: float, remedy: str) -> None:
     if not low <= value <= high:
         raise InputError(
-            f"--{option} {value:g} {unit}: allowed are {low:g} to {high:g} {unit}; {remedy}"
+            f"--{option} {value:g} {unit}: allowed are {low:g} to {high:.4g} {unit}; {remedy}"
         )
 
 
-def _layers(pad: Pad) -> list[tuple[float, float, float]]:
-    """Return depth, pitch and diameter of every layer, mm."""
+def _layers(pad: Pad, focal: float) -> list[tuple[float, float, float]]:
+    """Return depth, pitch and diameter of every layer, mm; ``focal`` is the lens's, px."""
     width, length, thickness = pad.size_mm
     count = max(len(pad.depth_mm), len(pad.pitch_mm), len(pad.diameter_mm), 1)
     if count > 2:
         raise InputError(f"{count} layers of dots: allowed are one or two, a number each")
-    # wide enough to be seen from where all of a long pad is seen
-    usual = min(max(min(width, length) / 20, max(width, length) / 80), min(width, length) / 4)
+    px_per_mm = min(
+        seen / side for side, seen in zip((width, length), _seen(pad, focal), strict=True)
+    )
+    if pad.camera_mm is not None:
+        px_per_mm = focal / (pad.camera_mm + thickness)
+    usual = max(min(width, length) / 20, WIDE_PX / WIDE / px_per_mm)
+    usual = min(usual, min(width, length) / 4)
     near = min(0.5, thickness / 4)
     found = []
     for number in range(count):
         pitch = _nth(pad.pitch_mm, number, usual)
         depth = _nth(pad.depth_mm, number, near * (1 + number))
-        diameter = _nth(pad.diameter_mm, number, 0.36 * pitch)
+        diameter = _nth(pad.diameter_mm, number, WIDE * pitch)
         _in_range("depth-mm", depth, "mm", 0.05, thickness - 0.05, "inside the pad")
         _in_range("pitch-mm", pitch, "mm", 0.1, min(width, length) / 3, "three dots must fit")
         _in_range("diameter-mm", diameter, "mm", 0.02, 0.9 * pitch, "dots must stand apart")
@@ -139,6 +151,11 @@ def _fov(pad: Pad) -> float:
     return math.degrees(2 * math.atan(pad.sensor_mm / 2 / pad.focal_mm))
 
 
+def _seen(pad: Pad, focal: float) -> list[float]:
+    """Return width and height of the part of the picture that dots may lie in, px."""
+    return [min(SEEN * px, px - 4 * TILT * focal) for px in pad.resolution]
+
+
 def _plate_mm(distance: float) -> float:
     return min(PLATE_MM, distance / 4)
 
@@ -152,9 +169,9 @@ def _distance_to_see_all(pad: Pad, layers: list[tuple[float, float, float]], foc
     """Return the distance of the lens from the pad's back, mm, from which all dots are seen."""
     *sides, thickness = pad.size_mm
     way = max(
-        (_room(side, diameter) + diameter) * 2 * focal / px / SEEN - (thickness - depth) / SILICONE
+        (_room(side, diameter) + diameter) * 2 * focal / seen - (thickness - depth) / SILICONE
         for depth, _, diameter in layers
-        for side, px in zip(sides, pad.resolution, strict=True)
+        for side, seen in zip(sides, _seen(pad, focal), strict=True)
     )
     # the plate shortens the way by refraction
     distance = way + (1 - 1 / ACRYLIC) * min(PLATE_MM, way / (3 + 1 / ACRYLIC))
@@ -172,7 +189,7 @@ def _layer_tables(
     for number, (depth, pitch, diameter) in enumerate(layers):
         # what the camera sees at this depth, refraction shortening the way
         way = distance - plate + plate / ACRYLIC + (thickness - depth) / SILICONE
-        seen = [SEEN * way * px / 2 / focal - diameter for px in pad.resolution]
+        seen = [way * wide / 2 / focal - diameter for wide in _seen(pad, focal)]
         room = [_room(side, diameter) for side in sides]
         half = [min(pair) for pair in zip(seen, room, strict=True)]
         most, (columns, rows) = (
@@ -230,7 +247,7 @@ def _sites(pad: Pad, pitch: float, extent: tuple[float, float]) -> tuple[float, 
 
 
 def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
-    """Return the text of a recipe, and a line on dots that the camera doesn't see; `InputError` for
+    """Return the text of a recipe, and lines on what the camera doesn't use; `InputError` for
     numbers out of range, or dots that don't fit.
     """
     from twin.parts.scene import Scene
@@ -247,13 +264,17 @@ def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
     _in_range("fov-deg", fov, "deg", 5, 120, "the full angle of the picture's width")
     # The camera behind its plate, the dots that it sees, and LEDs around it.
     focal = pad.resolution[0] / 2 / math.tan(math.radians(fov / 2))
-    layers = _layers(pad)
-    distance = pad.camera_mm
-    if distance is None:
-        distance = _distance_to_see_all(pad, layers, focal)
+    layers = _layers(pad, focal)
+    near = _distance_to_see_all(pad, layers, focal)
+    distance = near if pad.camera_mm is None else pad.camera_mm
     _in_range("camera-mm", distance, "mm", 2, 1000, "from the back of the pad to the lens")
     plate = _plate_mm(distance)
     tables, extent, unseen = _layer_tables(pad, layers, distance, plate, focal)
+    if distance > FAR * near:
+        unseen.append(
+            f"the dots fill only {100 * near / distance:.0f} % of the picture's width or height; "
+            f"--camera-mm {near:g} fills it"
+        )
     height = thickness + distance
     led = round(max(1.0, 0.48 * min(sides)), 3)
     led_z = round(height - 0.08 * (distance - plate), 3)
