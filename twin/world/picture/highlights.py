@@ -1,7 +1,7 @@
 """Highlights: the LEDs' mirror images in the smooth skins of markers, in closed form.
 
 A skin is a rough mirror of small facets whose slopes have the GGX distribution (Walter et al.,
-"Microfacet models for refraction through rough surfaces", 2007), as `roughplastic` of Mitsuba has.
+"Microfacet models for refraction through rough surfaces", 2007), as `ggx` of Mitsuba has.
 A facet mirrors an LED into the camera where its normal halves the angle between the two. So a
 highlight is light from a point's surroundings, in amounts that the curvature of the surface gives:
 R E / (4 K) into each unit of solid angle, R the share mirrored at half that angle, E the irradiance

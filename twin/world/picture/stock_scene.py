@@ -66,15 +66,21 @@ _TAGS = {
     "multijitter": "sampler",
     "dielectric": "bsdf",
     "diffuse": "bsdf",
-    "roughplastic": "bsdf",
+    "blendbsdf": "bsdf",
+    "roughconductor": "bsdf",
     "twosided": "bsdf",
     "mask": "bsdf",
     "area": "emitter",
     "mesh_attribute": "texture",
+    "uniform": "texture",
 }
 """Mitsuba's kind of each plug-in that is no shape."""
 
 _VALUES = {int: "integer", float: "float", str: "string"}
+
+
+_SKIN = 0.05
+"""Share of the paths that a glossy skin mirrors, rather than the matt marker beneath it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,14 +113,18 @@ class Triangles:
         colour = {"type": "mesh_attribute", "name": "vertex_color"}
         inner: dict[str, Any] = {"type": "diffuse", "reflectance": colour}
         if self.gloss is not None:
-            inner = {
-                "type": "roughplastic",
+            index, roughness = self.gloss
+            # A conductor that absorbs nothing mirrors as a dielectric does. Both parts are
+            # brighter by what their shares of the blend take off.
+            skin = {
+                "type": "roughconductor",
                 "distribution": "ggx",
-                "diffuse_reflectance": _rgb(self.colours[0]),
-                "int_ior": self.gloss[0],
-                "ext_ior": scene.material.refractive_index,
-                "alpha": self.gloss[1],
+                "alpha": roughness,
+                "eta": _even(index / scene.material.refractive_index),
+                "k": _even(0.0),
+                "specular_reflectance": _even(1 / _SKIN),
             }
+            inner = {"type": "blendbsdf", "weight": _SKIN, "matt": inner, "skin": skin}
         both = {"type": "twosided", "inner": inner}
         return (
             both if self.opacity == 1 else {"type": "mask", "opacity": self.opacity, "inner": both}
@@ -148,17 +158,18 @@ def _marker_triangles(markers: Ellipsoids, hollow: float = 0.0) -> Triangles:
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     rim = np.linalg.norm(ball.triangles_center[:, :2], axis=1) >= hollow
     faces = ball.faces[rim][None] + len(unit) * np.arange(len(markers))[:, None, None]
-    gloss = None if markers.gloss is None else tuple(markers.gloss[0].tolist())
+    gloss = (0.0, 0.0) if markers.gloss is None else tuple(markers.gloss[0].tolist())
+    glossy = gloss[0] > 0
     colours = np.repeat(markers.colour, len(unit), axis=0)
-    if markers.texture is not None and not (gloss and gloss[0]):  # `roughplastic` is even
+    if markers.texture is not None:
         which = np.repeat(np.arange(len(markers)), len(unit))
         colours *= markers.shade(which, np.tile(unit, (len(markers), 1)))[:, None]
     return Triangles(
         places=places.reshape(-1, 3),
         normals=normals.reshape(-1, 3),
         faces=faces.reshape(-1, 3),
-        colours=colours,
-        gloss=gloss if gloss and gloss[0] else None,
+        colours=colours / (1 - _SKIN) if glossy else colours,
+        gloss=gloss if glossy else None,
     )
 
 
@@ -167,7 +178,7 @@ def surfaces(
 ) -> dict[str, Triangles]:
     """Return markers and cover by name.
 
-    Markers are one surface, or with gloss one for each of its kinds and colours.
+    Markers are one surface, or with gloss one for each of its kinds.
 
     Parameters
     ----------
@@ -180,8 +191,7 @@ def surfaces(
     if there.gloss is None:
         found = {"markers": _marker_triangles(there)}
     else:
-        look = np.column_stack([there.gloss, there.colour * (there.gloss[:, :1] > 0)])
-        kinds, which = np.unique(look, axis=0, return_inverse=True)
+        kinds, which = np.unique(there.gloss, axis=0, return_inverse=True)
         found = {
             f"markers{n}": _marker_triangles(there.rows(which.ravel() == n))
             for n in range(len(kinds))
@@ -451,6 +461,11 @@ def _sensor(scene: Scene, camera: Camera, down: float) -> dict[str, Any]:
     depth += sum(layer.thickness_mm / layer.index for layer in camera.layers)
     lens = {"type": "thinlens", "aperture_radius": camera.aperture_mm / 2, "focus_distance": depth}
     return table | lens
+
+
+def _even(value: float) -> dict[str, Any]:
+    """Return Mitsuba's table of one value for all colours, which may lie above 1."""
+    return {"type": "uniform", "value": value}
 
 
 def _rgb(colour: Floats) -> dict[str, Any]:
