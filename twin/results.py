@@ -23,6 +23,9 @@ from twin.display import (
 from twin.errors import InputError
 from twin.files import make_folder, png_bytes, write_json, write_whole
 
+_UNSURE = 0.1
+"""Stated deviation of a push, over the push, from which on its cause is named."""
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Truth(Table):
@@ -262,6 +265,10 @@ class RunResult:
         total = f"time        {sum(self.timings.values()):.1f} s"
         return "\n".join([*lines, ": ".join(filter(None, (total, ", ".join(long))))])
 
+    @property
+    def _one_layer(self) -> bool:
+        return self.truth is not None and len(set(self.truth.marker_layer.tolist())) == 1
+
     def _force_lines(self, force: dict[str, Any]) -> list[str]:
         """Return the errors of total force, centre and field that are defined."""
         lines = []
@@ -273,11 +280,19 @@ class RunResult:
             if self.estimate is not None and len(self.estimate.force_n):
                 sites = self.estimate.force_n.sum(axis=0)
                 total = self.estimate.total_force_n
-                if not np.allclose(sites, total, rtol=1e-6, atol=1e-9):
-                    lines[-1] += f": Fz {total[2]:.4g} N, solved without bounds"
+                sd = self.estimate.sd_total_n
+                bounded = not np.allclose(sites, total, rtol=1e-6, atol=1e-9)
+                lines[-1] += f": Fz {total[2]:.4g} ± {sd[2]:.2g} N"
+                if bounded:
+                    lines[-1] += ", solved without bounds"
                     lines.append(
                         f"sites' sum  {_share(force['sites_force_error'], 1)} off: Fz "
                         f"{sites[2]:.4g} N, of sites that only push or obey friction"
+                    )
+                if sd[2] > max(_UNSURE * abs(total[2]), 3.0 * sd[0]) and self._one_layer:
+                    lines.append(
+                        "push        uncertain, as ± says: one layer of dots hardly shows it; a "
+                        "second layer helps (docs/one_layer.md)"
                     )
         if force["centre_error_mm"] is not None:
             lines.append(f"centre      {force['centre_error_mm']:.3g} mm off")

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -206,7 +207,7 @@ FORCE = {
 }
 
 
-def summary_of(sites: list[float]) -> str:
+def summary_of(sites: list[float], layers: tuple[str, ...] = ("dots",), sd_n: float = 0.002) -> str:
     force = np.array([[0.0, 0.0, push] for push in sites])
     estimate = Estimate(
         marker_rest_px=np.zeros((0, 2)),
@@ -218,11 +219,12 @@ def summary_of(sites: list[float]) -> str:
         total_force_n=np.array([0.0, 0.0, -0.045]),
         total_torque_nmm=np.zeros(3),
         sd_force_n=np.zeros_like(force),
-        sd_total_n=np.zeros(3),
+        sd_total_n=np.array([0.001, 0.001, sd_n]),
         sd_torque_nmm=np.zeros(3),
     )
     score = {"tracking": TRACKING, "force": FORCE}
-    return RunResult(scene_toml="", estimate=estimate, score=score, timings={"tracking": 1.0}).summary()
+    truth = SimpleNamespace(marker_layer=np.array(layers))
+    return RunResult(scene_toml="", truth=truth, estimate=estimate, score=score, timings={"tracking": 1.0}).summary()
 
 
 def test_total_centre_and_field_are_printed() -> None:
@@ -231,12 +233,19 @@ def test_total_centre_and_field_are_printed() -> None:
         assert figure in text
     assert "sites' sum" not in text, "without bounds it is the total"
     assert "warning" not in text
+    assert "Fz -0.045 ± 0.002 N\n" in text
+    assert "push" not in text
+
+
+def test_a_push_that_one_layer_hardly_shows_is_explained() -> None:
+    assert "one layer of dots hardly shows it" in summary_of([-0.045], sd_n=0.006)
+    assert "one layer" not in summary_of([-0.045], ("red", "blue"), sd_n=0.006)
 
 
 def test_under_bounds_both_totals_are_printed() -> None:
     text = summary_of([0.5, 0.187])
     assert "0.687 N" in text
-    assert "-0.045 N" in text
+    assert "-0.045 ± 0.002 N, solved without bounds" in text
 
 
 def test_few_markers_are_warned_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

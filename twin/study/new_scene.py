@@ -22,9 +22,12 @@ SILICONE, ACRYLIC = 1.41, 1.49
 PLATE_MM = 3.0
 """Thickness of the plate, but for cameras that are close."""
 
-SEEN, TILT = 0.95, math.radians(0.2)
-"""Share of the picture that dots may lie in, and the camera's tolerance of tilt, of which two
-standard deviations fit beside them: it moves a far camera's picture much."""
+SEEN = 0.95
+"""Share of the picture that dots may lie in."""
+
+TILT_DEG, PUPIL_MM, ALIGNED = 0.2, 0.05, 1 / 8
+"""Tolerances of the camera, or less: it is turned and moved until dots lie where they are drawn, to
+this share of the pitch. By a whole pitch no tracker knows which dot is which."""
 
 MOST_SITES = 29
 """Columns or rows of the forces' grid, but on long strips."""
@@ -112,7 +115,7 @@ def _layers(pad: Pad, focal: float) -> list[tuple[float, float, float]]:
     if count > 2:
         raise InputError(f"{count} layers of dots: allowed are one or two, a number each")
     px_per_mm = min(
-        seen / side for side, seen in zip((width, length), _seen(pad, focal), strict=True)
+        SEEN * px / side for side, px in zip((width, length), pad.resolution, strict=True)
     )
     if pad.camera_mm is not None:
         px_per_mm = focal / (pad.camera_mm + thickness)
@@ -151,11 +154,6 @@ def _fov(pad: Pad) -> float:
     return math.degrees(2 * math.atan(pad.sensor_mm / 2 / pad.focal_mm))
 
 
-def _seen(pad: Pad, focal: float) -> list[float]:
-    """Return width and height of the part of the picture that dots may lie in, px."""
-    return [min(SEEN * px, px - 4 * TILT * focal) for px in pad.resolution]
-
-
 def _plate_mm(distance: float) -> float:
     return min(PLATE_MM, distance / 4)
 
@@ -169,9 +167,9 @@ def _distance_to_see_all(pad: Pad, layers: list[tuple[float, float, float]], foc
     """Return the distance of the lens from the pad's back, mm, from which all dots are seen."""
     *sides, thickness = pad.size_mm
     way = max(
-        (_room(side, diameter) + diameter) * 2 * focal / seen - (thickness - depth) / SILICONE
+        (_room(side, diameter) + diameter) * 2 * focal / px / SEEN - (thickness - depth) / SILICONE
         for depth, _, diameter in layers
-        for side, seen in zip(sides, _seen(pad, focal), strict=True)
+        for side, px in zip(sides, pad.resolution, strict=True)
     )
     # the plate shortens the way by refraction
     distance = way + (1 - 1 / ACRYLIC) * min(PLATE_MM, way / (3 + 1 / ACRYLIC))
@@ -189,7 +187,7 @@ def _layer_tables(
     for number, (depth, pitch, diameter) in enumerate(layers):
         # what the camera sees at this depth, refraction shortening the way
         way = distance - plate + plate / ACRYLIC + (thickness - depth) / SILICONE
-        seen = [way * wide / 2 / focal - diameter for wide in _seen(pad, focal)]
+        seen = [SEEN * way * px / 2 / focal - diameter for px in pad.resolution]
         room = [_room(side, diameter) for side in sides]
         half = [min(pair) for pair in zip(seen, room, strict=True)]
         most, (columns, rows) = (
@@ -290,7 +288,10 @@ def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
     deepest = max(depth_mm for depth_mm, *_ in layers)
     room = Scene.Tolerance(depth_mm=slack).most_of_thickness_mm(thickness, deepest)
     thickness_sd = min(0.02 * thickness, 0.9 * room)
-    printed = min(0.03, min(pitch for _, pitch, _ in layers) / 20)
+    closest = min(pitch for _, pitch, _ in layers)
+    pupil = min(PUPIL_MM, ALIGNED * closest)
+    tilt = min(TILT_DEG, math.degrees(ALIGNED * closest / height))
+    printed = min(0.03, closest / 20)
     text = (
         Path(__file__)
         .with_suffix(".txt")
@@ -311,6 +312,7 @@ def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
             plate=plate,
             printed=printed,
             probe=probe,
+            pupil=pupil,
             silicone=SILICONE,
             site=site,
             site_columns=site_columns,
@@ -319,6 +321,7 @@ def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
             tables=tables,
             thickness=thickness,
             thickness_sd=thickness_sd,
+            tilt=tilt,
             width=width,
             x=0.04 * width,
             y=0.02 * length,
