@@ -9,7 +9,7 @@ from standard_bodies import write_stl
 from stl_shapes import HELD_ABOVE, SENSING_BELOW, box, bracket, prism, solid_box, solid_bracket, solid_dome
 
 from twin.errors import RecipeError
-from twin.parts.body import Solid
+from twin.parts.body import Block, Solid
 from twin.parts.load import Traction
 from twin.study.recipe import load_scene, validate_scene
 from twin.world.elasticity.discretise import tile
@@ -193,7 +193,9 @@ def test_more_of_two_levels_difference_is_error_where_a_flat_body_has_dents(tmp_
     trust, rough, _ = error_shares(dented, "coarse", load, 1.0)
     level_trust, level_rough, _ = error_shares(pad, "coarse", load, 1.0)
     assert trust * 0.59 > 1.0 > level_trust * 0.59
-    assert rough == level_rough
+    assert rough == level_rough > 0.0
+    _, of_block, _ = error_shares(Block(width_mm=12.0, length_mm=10.0, thickness_mm=8.0), "coarse", load, 1.0)
+    assert of_block == 0.0  # fitted to the mesh of one
 
 
 def test_a_camera_needs_something_held_at_the_largest_z(scene_file):

@@ -426,7 +426,6 @@ class Compliance:
         else:
             return moved, [self.expected_error(load, table) * moved]
         direct = not self._subtracted
-        smooth = None if table or direct or self.body.is_flat else self._rough(known, load, w)
         missed = None if table or direct else self._missed(known, load, moved)
         trust, rough, unseen = error_shares(
             self.body,
@@ -440,8 +439,8 @@ class Compliance:
             at_edge=missed is not None and bool(missed.any()),
         )
         parts = [trust * (w - other), (unseen + lost / size) * moved]
-        if smooth is not None:
-            parts.append(rough * smooth)
+        if rough and not (table or direct):
+            parts.append(rough * self._rough(known, load, w))
         if missed is not None:
             parts.append(missed)
         return moved, parts
