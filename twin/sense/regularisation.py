@@ -350,18 +350,16 @@ class Factors:
         if weight <= 0:
             return np.asarray((self.back**2) @ self._filtered(0.0) ** 2)
         each = 1.0 / (self.singular**2 + weight)
-        unseen = (self.null**2).sum(1) / weight
-        variance = self.back**2 @ each + unseen
-        smoothed = each[:, None] * self.back.T  # back^T Q back is the unit matrix
-        if len(self.rows):
-            response, more = self._more(weight)
-            widened = more @ response
-            variance += np.einsum("si,si->i", response, widened)
-            smoothed += (self.left[self.rows] * (self.singular * each)).T @ widened
-        if likely == weight:
-            return np.asarray(variance)
-        bias = weight * (smoothed**2).sum(axis=0) + unseen
-        return np.asarray(variance + (weight / likely - 1.0) * bias)
+        excess = weight / likely - 1.0
+        variance = (1.0 + excess) * (self.null**2).sum(1) / weight
+        if not len(self.rows):  # back^T Q back is the unit matrix
+            return np.asarray(variance + self.back**2 @ (each + excess * weight * each**2))
+        response, more = self._more(weight)
+        widened = more @ response
+        smoothed = each[:, None] * self.back.T
+        smoothed += (self.left[self.rows] * (self.singular * each)).T @ widened
+        variance += self.back**2 @ each + np.einsum("si,si->i", response, widened)
+        return np.asarray(variance + excess * weight * (smoothed**2).sum(axis=0))
 
     def _spectrum(self, data: Floats) -> Factors.Spectrum:
         """Return the weighted problem's spectrum; lost data must be finite."""
