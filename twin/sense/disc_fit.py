@@ -98,11 +98,13 @@ BRIGHTER = 1.2
 """The counts from which on other layers show follow the picture's brightness where that has changed
 by more than this factor: else a ground that is twice as bright passes for a layer."""
 
-RELIT_LEVEL = 1.15
+RELIT_LEVEL, RELIT_LEAVES = (1.06, 1.15), 3.0
 """Factor of the markers' brightness from which on they are fitted again, from brightness and ground
 as now: else what the light lacks counts as the model's misfit, and where the model fits shaded
-markers badly, the robust fit ends in another place (.02 to .06 px off in .6 to .8 of the light).
-JPEG 60 takes .07 of small dots' brightness, defocus .12 of those 15 px wide."""
+markers badly, the robust fit ends in another place (.02 to .06 px off in .6 to .8 of the light). Up
+to the second of these, where squared residuals are so many times those at rest at most: light of .9
+to 1.1 leaves .9 to 2.1 times as much, defocus that takes a twelfth of the brightness 5 times, JPEG
+13 to 18 times."""
 
 SMOOTHER = 0.88
 """Brightness, or both (`LayerSignal.brightness`), replaces a layer's colour where third harmonics
@@ -359,7 +361,7 @@ class DiscFit(SoftWindow):
         templates = self.templates
         fitted = templates.fit(picture, start_px, lead)
         gain = float(medians(fitted[:, LEVEL] / templates.rest[:, LEVEL]))
-        if gain > RELIT_LEVEL or gain < 1.0 / RELIT_LEVEL:
+        if self._in_other_light(fitted, max(gain, 1.0 / gain)):
             shape, ground = templates.shape.copy(), templates.ground.copy()
             shape[:, BRIGHT] *= gain
             ground[:, 0] += medians(fitted[:, GROUND] - templates.rest[:, GROUND])
@@ -379,6 +381,14 @@ class DiscFit(SoftWindow):
         fitted = self._refit(picture, templates, fitted, cut, start_px)
         fitted[:, LIT] = light
         return fitted
+
+    def _in_other_light(self, fitted: Floats, gain: float) -> bool:
+        """Return whether light has changed the markers' brightness by the factor ``gain``, and not
+        compression or a blur, which leave more than it does."""
+        if not gain > RELIT_LEVEL[0]:
+            return False  # nearly always
+        left = medians(fitted[:, MISFIT] / self.templates.rest[:, MISFIT])
+        return bool(gain > RELIT_LEVEL[1] or left < RELIT_LEAVES)
 
     def _refit(
         self, picture: Picture, templates: Templates, fitted: Floats, cut: Bools, start_px: Pixels
