@@ -69,10 +69,9 @@ Why: 75 calibration presses alone cost twice what the table does, which then ser
 press for next to nothing. The errors of H differ by 2 % of themselves from those of presses solved
 one by one. The quick form presses too little for it."""
 
-MADE, FEWER = 10, 3
-"""Made sensors over which a number's spread is taken, and how many where a run takes seconds. Where
-fingers are pressed it is one: its calibration alone is 75 presses, and the spread is of as many
-runs of exposures and load cell."""
+MADE = 10
+"""Made sensors over which a number's spread is taken. Where fingers are pressed it is one, whose
+calibration alone is 75 presses, and the spread is of as many runs of exposures and load cell."""
 
 RANGED = 3
 """Trials over which the numbers of a range are averaged, at most."""
@@ -370,14 +369,14 @@ class Bench:
         if self._progress is not None:
             self._progress(f"{self._entry} {what}".strip(), self._done)
 
-    def trials(self, paper: str, *, pressed: bool = True, count: int = MADE) -> tuple[Trial, ...]:
+    def trials(self, paper: str, *, pressed: bool = True) -> tuple[Trial, ...]:
         """Return the runs of a spread: made sensors, or exposures of one where the finger is
         ``pressed``."""
         if self.quick:
             return (Trial(seed=self.seed),)
         if paper == "sato" and pressed:
-            return tuple(Trial(exposures=APART * number) for number in range(count))
-        return tuple(Trial(seed=self.seed + number) for number in range(count))
+            return tuple(Trial(exposures=APART * number) for number in range(MADE))
+        return tuple(Trial(seed=self.seed + number) for number in range(MADE))
 
     def compare(
         self,

@@ -26,7 +26,6 @@ from twin.sense.track import track_frame
 from twin.show.figure_panels import Panel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import (
-    FEWER,
     FIRST_EXPOSURE,
     KAMIYAMA,
     ONCE,
@@ -608,7 +607,7 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Entry.Outcome:
     own = {PAPERS: hardware.own}
     default = {DEFAULT: replace(ours, method="smooth")}
     industrial = {CAMERA: hardware.industrial}
-    trials = bench.trials(paper, count=FEWER)
+    trials = bench.trials(paper)
     records: list[Record] = []
 
     def compare(
@@ -623,7 +622,7 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Entry.Outcome:
         records.extend(found)
 
     bench.progress(f"{paper}, tracking", 0.05)
-    unpressed = bench.trials(paper, pressed=False, count=FEWER)
+    unpressed = bench.trials(paper, pressed=False)
     compare(hardware.tracking, own | industrial, unpressed)
     bench.progress(f"{paper}, fields", 0.2)
     pushes = {"pushes only": replace(ours, options={"push_only": True})}

@@ -15,7 +15,6 @@ from twin.judge.score import full_width
 from twin.sense.calibration import Calibration
 from twin.show.figure_panels import Panel
 from twin.study.reproduce.bench import (
-    FEWER,
     FIRST_EXPOSURE,
     MADE,
     OUR_TRACKER,
@@ -246,7 +245,7 @@ def _figure_8(bench: Bench) -> Entry.Outcome:
             partial(_line_numbers, repeats),
             PAPER,
             {**_ways(bench), READ: read},
-            bench.trials("sato", count=FEWER),
+            bench.trials("sato"),
             {} if bench.quick else {CELL: _weighed, ASIDE: placed},
             name,
         )
