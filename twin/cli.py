@@ -113,6 +113,7 @@ class _Notes(io.StringIO):
 
 
 def _print_json(name: str, output: Iterator[Any]) -> None:
+    """Print what a command yields as one JSON object."""
     notes = _Notes()
     lines: list[str] = []
     rows: list[Any] = []
@@ -161,6 +162,7 @@ NARROWEST = 20
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning as one line on stderr, without the place in the source."""
     print(f"twin: warning: {message}", file=sys.stderr)
 
 
@@ -203,6 +205,7 @@ def _interrupted() -> int:
 
 
 def _folder_exists() -> bool:
+    """Return whether the current folder still exists."""
     try:
         os.getcwd()
     except FileNotFoundError:

@@ -137,6 +137,7 @@ def _progress() -> Progress | None:
 
 
 def _load(scene: str, overrides: Sequence[str]) -> Scene:
+    """Return a scene with ``key.path=value`` overrides."""
     from twin.study.recipe import load_scene, parse_overrides
 
     return load_scene(scene, parse_overrides(overrides))

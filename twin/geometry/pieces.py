@@ -194,6 +194,7 @@ class _Nearest:
         return cls(one, way, np.zeros_like(one), np.zeros_like(way), np.zeros(shape, bool), bent)
 
     def fill(self, place: Any, found: _Nearest) -> None:
+        """Set some of the points."""
         for name, array in vars(found).items():
             getattr(self, name)[place] = array
 

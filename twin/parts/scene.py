@@ -377,6 +377,7 @@ class Scene(Part):
         return html_table(self.title or "Scene", self._rows())
 
     def _rows(self) -> dict[str, str]:
+        """Return what a reader wants to know first, by name."""
         low, high = self.body.bounds_mm
         size = " x ".join(f"{b - a:g}" for a, b in zip(low, high, strict=True))
         material, camera, press = self.material, self.camera, self.press

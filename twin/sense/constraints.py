@@ -259,6 +259,7 @@ class Quadratic:
 
     @cached_property
     def _freely(self) -> Floats:
+        """Inverse of the Schur complement."""
         return np.asarray(np.linalg.inv(self._split[0]))
 
     def pushes(self, linear: Floats, start: Bools | None = None) -> tuple[Floats, Bools, float]:

@@ -382,6 +382,7 @@ def _lattice_at(
 
 
 def _believable(points: Pixels, index: Ints, on: Bools) -> bool:
+    """Return whether spots form a lattice, and not by chance."""
     count, own = int(on.sum()), index[on]
     if count < max(LEAST_DOTS, LEAST_SHARE * len(on)) or min(np.ptp(own, axis=0)) < 2:
         return False
@@ -393,6 +394,7 @@ def _believable(points: Pixels, index: Ints, on: Bools) -> bool:
 
 
 def _scatter(sites: Ints, places: Pixels) -> float:
+    """Return the median of `_misfit` over a lattice."""
     return float(np.median(_misfit(sites, places, 0.0)))
 
 
@@ -531,6 +533,7 @@ def _predict(
 
 
 def _explained(away: Singles, noise: float, layers: list[_Layer]) -> float:
+    """Return the share of the strong pixels that lie in the dots of layers."""
     strength = np.linalg.norm(away, axis=2)
     strong = strength > max(0.4 * np.quantile(strength, 0.985), 4.0 * noise)
     places = np.argwhere(strong)[:, ::-1]
@@ -651,6 +654,7 @@ def _strain(steps: Floats) -> float:
 
 
 def _pitch(centres: Pixels, sites: Ints, lattice: str) -> float:
+    """Return the mean distance of neighbours, px."""
     at = {(int(i), int(j)): k for k, (i, j) in enumerate(sites)}
     lengths = []
     for (i, j), k in at.items():
@@ -675,6 +679,7 @@ def _counts(picture: Picture, centres: Pixels, width: float) -> tuple[Floats, Fl
 
 
 def _colour_name(layer: FoundLayout.Layer) -> str:
+    """Return a word for the dots' colour."""
     colour, ground = layer.colour_dn, layer.ground_dn
     bright = layer.polarity == "bright"
     shown = np.maximum(colour - ground, 0.0) if bright else colour / np.maximum(ground, 1.0)

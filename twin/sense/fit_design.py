@@ -77,7 +77,9 @@ class _Design(Protocol):
     """What is fitted: parameters, and what they predict."""
 
     @property
-    def names(self) -> tuple[str, ...]: ...
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        ...
 
     @property
     def print_mm(self) -> float:

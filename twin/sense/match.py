@@ -590,6 +590,7 @@ class _Search:
         return np.flatnonzero(free)
 
     def lost(self, pairing: _Pairing) -> float:
+        """Return how many markers have no spot."""
         return float((self.known & (pairing.spot < 0)).sum())
 
     def plain(self, pairing: _Pairing) -> bool:

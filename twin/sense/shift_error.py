@@ -312,4 +312,5 @@ class ShiftErrors:
 
 
 def _square(vectors: Floats) -> Floats:
+    """Return (n,) the squared lengths of vectors (n, 2)."""
     return np.asarray(vectors[:, 0] ** 2 + vectors[:, 1] ** 2)

@@ -52,6 +52,7 @@ def report(result: RunResult) -> str:
 
 
 def _verdict(result: RunResult) -> str:
+    """Return what the run came to, in one sentence."""
     score = result.score or {}
     said = []
     sd, centre = _figure(score, "tracking", "sd_px"), _figure(score, "force", "centre_error_mm")
@@ -474,6 +475,7 @@ def _shifts(seen: _Sighting, axes: Axes, scale: float, name: str, style: str, ma
 
 
 def _error_map(seen: _Sighting, axes: Axes) -> str:
+    """Return the map of tracked minus true shifts."""
     error = seen.tracked_shift_px - seen.true_shift_px
     size = np.hypot(error[:, 0], error[:, 1])
     fine = size <= _GROSS_PX

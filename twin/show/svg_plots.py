@@ -200,4 +200,5 @@ def _ticks(low: float, high: float, about: int = 6) -> list[float]:
 
 
 def _path(steps: Sequence[str], style: str) -> str:
+    """Return one path of SVG steps, of a class; empty without steps."""
     return f'<path class="{style}" d="{"".join(steps)}"/>' if steps else ""

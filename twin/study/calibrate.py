@@ -576,6 +576,7 @@ def _with_facts(made: Calibration, presses: Presses, facts: dict[str, Any]) -> C
 
 
 def _stating(made: Calibration, facts: dict[str, Any]) -> Calibration:
+    """Return a calibration with more facts, or other ones, in its provenance."""
     return replace(made, provenance=json.dumps(made.facts | facts))
 
 

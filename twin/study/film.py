@@ -320,6 +320,7 @@ class _Filming:
     """
 
     def __init__(self, scene: Scene, folder: Path, progress: Progress, h264: bool) -> None:
+        """Refuse what can't be filmed."""
         from twin.study.frames import VideoWriter
 
         if h264:
@@ -341,6 +342,7 @@ class _Filming:
             )
 
     def press(self) -> None:
+        """Solve the press at every frame's time."""
         assert self.scene.press is not None
         press, ends_s = at_frames(self.scene.press, self.rate)
         self.sensor = sensor = Sensor(self.scene, self.progress)
@@ -398,6 +400,7 @@ class _Filming:
                 self._write_truth()
 
     def encode(self) -> None:
+        """Make a video of the pictures, which go."""
         from twin.study.frames import VideoWriter, read_picture
 
         camera = self.scene.camera

@@ -142,6 +142,7 @@ class FittedDesign:
 
     @property
     def _both_ways(self) -> bool:
+        """Whether Poisson's ratio may also be larger than drawn."""
         return self._below_half >= NU_STEP
 
     def _compliance_of(self, scene: Scene) -> Compliance:
@@ -153,6 +154,7 @@ class FittedDesign:
 
     @cached_property
     def _of_ratios(self) -> dict[float, Compliance]:
+        """Bodies of other Poisson's ratios, by their deviations."""
         steps = [-NU_STEP]
         if self._both_ways:
             steps = [-min(self.sizes["poisson_ratio"], 0.5), self._below_half]

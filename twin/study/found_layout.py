@@ -214,6 +214,7 @@ def _drawn(found: FoundLayout, scene: Scene) -> list[_Drawn]:
 
 
 def _recipe(found: FoundLayout, drawn: Sequence[_Drawn], name: str, image: Picture) -> str:
+    """Return the text of the tables."""
     height, width = image.shape[:2]
     ground = np.mean([layer.ground_dn for layer in found.layers.values()], axis=0)
     lines = [

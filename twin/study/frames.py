@@ -208,6 +208,7 @@ def _of_sources(sources: Sequence[str]) -> Iterator[Frame]:
 
 
 def _inside(folder: Path) -> list[Path]:
+    """Return a folder's pictures and videos in order."""
     files = [each for each in folder.iterdir() if each.suffix.lower() in (*PICTURES, *VIDEOS)]
     return sorted(files, key=_in_number)
 

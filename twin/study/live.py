@@ -395,13 +395,16 @@ class _Loopback:
 
     @property
     def port(self) -> int:
+        """The port it listens on."""
         return int(self._server.server_address[1])
 
     @property
     def address(self) -> str:
+        """What to open in a browser."""
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
     def serve(self) -> None:
+        """Answer until interrupted."""
         listener = threading.Thread(
             target=self._server.serve_forever, name="twin-loopback", daemon=True
         )
@@ -499,6 +502,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def version_string(self) -> str:
+        """Name no versions."""
         return "twin"
 
     def log_message(self, *_: object) -> None:

@@ -155,6 +155,7 @@ def _fov(pad: Pad) -> float:
 
 
 def _plate_mm(distance: float) -> float:
+    """Return the thickness of the plate that the pad lies on, mm."""
     return min(PLATE_MM, distance / 4)
 
 

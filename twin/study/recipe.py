@@ -120,6 +120,7 @@ def _by_key(table: Table) -> Table:
 
 
 def _merged(below: Table, above: Table) -> Table:
+    """Return a table with another laid over it; neither is changed."""
     table = dict(below)
     if set(ALTERNATIVES) & set(above):
         table = {k: v for k, v in table.items() if k not in ALTERNATIVES}
@@ -145,6 +146,7 @@ def _same_kind(below: Table, above: Table) -> bool:
 
 
 def _forget_provenance(table: Table, key: str) -> None:
+    """Drop the provenance of the value of ``key``."""
     for kind in PROVENANCE:
         if isinstance(table.get(kind), dict):
             table[kind] = {k: v for k, v in table[kind].items() if k != key}
@@ -194,6 +196,7 @@ def paths_given(overrides: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def _table_at(table: Table, names: list[str], dotted: str) -> Table:
+    """Return the table at ``names``, made or copied on the way."""
     here = table
     for name in names:
         if not isinstance(here.setdefault(name, {}), dict):

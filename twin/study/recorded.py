@@ -538,6 +538,7 @@ class _Summary:
         self._squares: list[float] = []
 
     def add(self, result: _FrameResult, row: dict[str, Any]) -> None:
+        """Count a frame; print its trouble."""
         self.count += 1
         if result.found is not None and result.field is not None:
             states = np.unique(result.found.states, return_counts=True)
@@ -759,6 +760,7 @@ class _OverlayFile:
         write_whole(path, png_bytes(drawn))
 
     def close(self) -> None:
+        """Finish a video."""
         if self._writer is not None:
             self._writer.close()
 

@@ -264,6 +264,7 @@ class _Stages:
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[None]:
+        """Say that a stage begins, and keep how long it takes."""
         if self.sensor.progress is not None:
             self.sensor.progress(name, self._names.index(name) / len(self._names))
         started = time.perf_counter()
@@ -290,6 +291,7 @@ class _Stages:
         self.truth = _truth(sensor, self.motion, self.patches)
 
     def pictures(self) -> None:
+        """Draw the rest and the pressed picture, and add the true outlines in them to the truth."""
         with self._stage("rest picture"):
             self.rest = self.sensor.picture(None)
         with self._stage("pressed picture"):
@@ -313,6 +315,7 @@ class _Stages:
                 self.failures |= {"tracking": str(problem), "force": "nothing was tracked"}
 
     def reconstruct(self) -> None:
+        """Compute the forces from the shifts, if there are any."""
         if self.found is None or self.scene.reconstruction is None:
             return
         from twin.sense.reconstruct import reconstruct
@@ -333,6 +336,7 @@ class _Stages:
 
     @cached_property
     def estimate(self) -> Estimate | None:
+        """What the sensor's software found; None where it tracked nothing."""
         return _estimate(self.found, self.field)
 
     def judge_truth(self) -> None:
@@ -346,6 +350,7 @@ class _Stages:
                 self.state = replace(self.state, validity=self.sensor.validity(self.state))
 
     def score(self) -> dict[str, Any]:
+        """Return the errors by stage."""
         from twin.judge.score import force_score, score, tracking_score
 
         with self._stage("score"):
@@ -369,6 +374,7 @@ class _Stages:
         return errors
 
     def result(self, errors: dict[str, Any]) -> RunResult:
+        """Return all that was found, with ``errors`` of `score`."""
         return RunResult(
             scene_toml=self.scene.to_toml(),
             truth=self.truth,

@@ -119,6 +119,7 @@ def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points,
 
 
 def _under_each(state: ContactState) -> list[tuple[Rectangles, ContactState]]:
+    """Return the patches under every probe that touches, and its state."""
     touching = [one for one in (state, *state.also) if len(one.pressure_mpa)]
     patches = [term for term in state.load.terms if isinstance(term, Rectangles)]
     return list(zip(patches, touching, strict=True))
@@ -153,6 +154,7 @@ def _frame(
 
 
 def _said(state: ContactState) -> str:
+    """Return what is under one probe."""
     slips = "no friction"
     if state.friction:
         slips = f"{100 * np.mean(state.slip):.0f} % of the contact slips"

@@ -372,6 +372,7 @@ _unpacked: dict[str, tuple[ExitStack, Path]] = {}
 
 
 def _task_on_worker(name: str, work: str, number: int) -> Job.Done:
+    """Compute a task of an unpacked job on a dask worker."""
     if name not in _unpacked:
         raise RuntimeError("this worker has not received the job's files")
     return _tried(_work_of(work), _unpacked[name][1], number)

@@ -481,6 +481,7 @@ def _measured(tried: Scene, several: bool, progress: Progress | None) -> dict[st
 
 
 def _timed(work: Callable[..., T], *arguments: Any) -> tuple[T, float]:
+    """Return the result of ``work``, and its CPU seconds."""
     started = time.process_time()
     return work(*arguments), time.process_time() - started
 

@@ -60,6 +60,7 @@ def export_dataset(
 
 
 def _samples(reader: DatasetReader, progress: Progress | None) -> Iterator[tuple[int, Any]]:
+    """Yield the samples, counted from 0."""
     for number, sample in enumerate(reader):
         if progress is not None:
             progress(f"{number}/{len(reader)} rows", number / len(reader))
@@ -108,6 +109,7 @@ _RAGGED = ("truth/surface_mm", "truth/surface_force_n", "truth/surface_slip")
 
 
 def _room(file: Any, name: str, value: Any, count: int) -> Any:
+    """Make a data set for ``count`` values like this one."""
     import h5py
 
     if isinstance(value, str) or value is None:

@@ -116,11 +116,13 @@ class _MadeSensor:
         return row
 
     def motion(self, load: Load) -> Motion:
+        """Return the motion of its markers under a load."""
         pictured = bool(self.plan.needs & {"picture", "outlines"})
         return self.sensor.quick_motion(load, pictured=pictured, gather=self.gather)
 
     @cached_property
     def compliance(self) -> Compliance:
+        """Of its body, prepared for its markers."""
         from twin.world.elasticity.compliance import Compliance
 
         found = self.sensor.compliance
@@ -130,6 +132,7 @@ class _MadeSensor:
 
     @cached_property
     def grid(self) -> Sites:
+        """The grid of sites."""
         scene = self.plan.scene
         if scene.dataset.sites is not None:
             return scene.dataset.sites

@@ -160,6 +160,8 @@ class _KeptSensor(Sensor):
         return hashlib.sha256(key.encode()).hexdigest()
 
     def _once(self, what: str, key: Any, work: Callable[[], T]) -> T:
+        """Return ``work()``, done once for this body."""
+
         def quietly() -> T:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -169,9 +171,11 @@ class _KeptSensor(Sensor):
 
     @cached_property
     def ladder(self) -> Any:
+        """The actual body's levels of mesh."""
         return self._bench.once(("ladder", self._body), lambda: super(_KeptSensor, self).ladder)
 
     def press(self, press: Press | None = None, memory: PathMemory | None = None) -> ContactState:
+        """Solve a press once."""
         assert press is not None
         solve = super().press
         return self._once("press", press.model_dump_json(), lambda: solve(press, memory))
@@ -459,6 +463,7 @@ class Bench:
         return self._rigs[key]
 
     def _tabled(self, paper: str, given: Mapping[str, Any]) -> bool:
+        """Return whether loads on this sensor are products with the table of its body."""
         changed = {key.split(".")[0] for key in given} & {"tolerance", "body", "material"}
         own = given["seed"] == self.seed and not changed
         return paper in TABLED and not self.quick and own

@@ -156,6 +156,7 @@ def _shift_noise_px(bench: Bench, chain: Chain) -> float:
 
 
 def _limit_of(rig: Rig, noise_px: float) -> Limit:
+    """Return the closed-form limit of a nominal design at a tracker's noise."""
     material, layers = rig.scene.material, rig.scene.markers
     scale = np.linalg.norm(rig.image_scale[:, 0, :2], axis=1)
     markers = rig.sensor.actual.markers
@@ -185,6 +186,7 @@ def _limits(
 
 
 def _limit_numbers(limit: Limit) -> Numbers:
+    """Return a design's closed-form limits as numbers of their own."""
     return {
         Quantity("closed-form limit of the least distance of two forces", "mm"): float(
             limit.two_point_mm[0]
@@ -214,6 +216,7 @@ def _conclusion(bench: Bench) -> Entry.Outcome:
 
 
 def _limit_curves() -> Panel:
+    """Draw the closed-form limit against noise for the designs on the way."""
     noise_px = np.geomspace(0.003, 0.3, 25)
     noise_mm = np.repeat(0.05 * noise_px[:, None], 2, axis=1)
     curves = {}
@@ -374,6 +377,8 @@ def _limiting_causes(bench: Bench) -> Entry.Outcome:
 
 
 def _bars(title: str, across: str, values: Mapping[str, float], limits: list[float]) -> Panel:
+    """Return the drawing of a length by design, with the limit of each."""
+
     def draw(axes: Any) -> None:
         axes.barh(list(values), list(values.values()), color="#7d8894")
         kept = np.where(np.isfinite(limits), limits, np.nan)
@@ -418,6 +423,7 @@ def _rate_of(seconds: Floats) -> float:
 def _sorted_times(
     curves: Mapping[str, Floats], across: str, unit: str, levels: Mapping[str, float]
 ) -> Panel:
+    """Draw the sorted times of every way by name."""
     count = len(next(iter(curves.values())))
     return Panel.curves(
         f"{count} {across}s, sorted",
@@ -500,6 +506,7 @@ class _Hardware:
         return replace(self.ours, overrides={**self.ours.overrides, **INDUSTRIAL})
 
     def press(self, rig: Rig) -> Press:
+        """Return the first of the contacts."""
         return next(iter(self.presses.values()))(rig)
 
     def tracking(self, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
@@ -514,6 +521,7 @@ class _Hardware:
         return {Quantity(name, "px", paper=printed, ours=True): float(np.mean(spreads))}
 
     def fields(self, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
+        """Measure the errors of the fields of all contacts."""
         rig = chain.rig(bench, trial)
         shots = {
             where: chain.shot(bench, press(rig), trial, 90) for where, press in self.presses.items()
@@ -526,6 +534,7 @@ class _Hardware:
         }
 
     def widths(self, bench: Bench, chain: Chain, trial: Trial) -> Numbers:
+        """Measure the width of a narrow force, and the least distance of two."""
         width = Quantity(WIDTH, "mm", paper=self.width_mm, ours=True)
         return {
             width: _point_width_mm(bench, chain, trial),

@@ -88,11 +88,13 @@ KNOWN_BLOCK = "finite block: the sensor knows the real block instead of a half-s
 
 
 def _impulse(axis: int, at_mm: tuple[float, float] = (0.0, 0.0), sign: float = 1.0) -> Load:
+    """Return a narrow traction along one axis, standing for an impulse."""
     x, y, z = (sign * IMPULSE_N * np.eye(3)[axis]).tolist()
     return Traction.disk(at_mm, SPOT_MM, (x, y, z))
 
 
 def _pillar_press(force_n: float, edge_mm: float = 0.0) -> Press:
+    """Return the press of the 5 mm pillar with another force, its rim rounded by ``edge_mm``."""
     return Press(probe=Cylinder(diameter_mm=5, edge_mm=edge_mm), force_n=(0.0, 0.0, force_n))
 
 
@@ -137,6 +139,7 @@ def _figure_6(bench: Bench) -> Entry.Outcome:
 
 
 def _pitch_px(rig: Rig, name: str, at: Floats) -> float:
+    """Return the mean distance of neighbours in a layer's grid, px."""
     layer = rig.scene.markers[name]
     grid = at.reshape(layer.columns, layer.rows, 2)
     steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).ravel() for axis in (0, 1)]
@@ -199,6 +202,7 @@ def _figure_9(bench: Bench) -> Entry.Outcome:
 
 
 def _strongest_mm(found: Field) -> float:
+    """Return the distance of the site with the largest force from the middle, mm."""
     place = found.site_mm[np.argmax(np.linalg.norm(found.force_n, axis=1)), :2]
     return float(np.linalg.norm(place))
 
@@ -229,6 +233,7 @@ def _pillar_numbers(shot: Shot) -> Numbers:
 
 
 def _pillar_field(label: str, chain: Chain, bench: Bench) -> Entry.Outcome:
+    """Solve the pillar's press by one constraint, and again with causes off."""
     ours = replace(OURS_DIFFERENCE, options=PUSHES.options)
     causes = _causes(bench, chain, KNOWN_BLOCK) | {OURS: ours}
     press = bench.pressing(PILLAR_PRESS)
@@ -266,6 +271,7 @@ def _figure_10(bench: Bench) -> Entry.Outcome:
 
 
 def _figure_13(bench: Bench) -> Entry.Outcome:
+    """Show the field before camera calibration and the one after it."""
     before = _pillar_field("least norm, before camera calibration", BLIND, bench)
     after = NORM.shot(bench, PILLAR_PRESS).field
     panel = Panel.field("After camera calibration (Fig. 11)", after, 2.5)
@@ -285,6 +291,7 @@ def _figure_14(bench: Bench) -> Entry.Outcome:
     widths = WIDTHS_MM[::2] if bench.quick else WIDTHS_MM
 
     def profiles(chain: Chain, trial: Trial) -> dict[float, tuple[Floats, Floats]]:
+        """Return the profile of the push along x by width of the pillar."""
         found = {}
         for width in widths:
             probe = Pillar(width_mm=width, length_mm=LENGTH_MM)
@@ -374,13 +381,16 @@ def _turning_share(found: Field, radius_mm: float) -> float:
 
 
 def _cosine(one: Floats, other: Floats) -> float:
+    """Return the cosine of the angle between two fields."""
     return float(one @ other / np.sqrt((one @ one) * (other @ other)))
 
 
 def _figure_16(bench: Bench) -> Entry.Outcome:
+    """Compare two opposite impulses along x, both outwards, with one along z."""
     apart = APART_MM[1::2] if bench.quick else APART_MM
 
     def filmed(chain: Chain, trial: Trial) -> tuple[Rig, Found, list[Found]]:
+        """Track the push, and the two impulses at every distance."""
         rig = chain.rig(bench, trial)
 
         def work() -> tuple[Rig, Found, list[Found]]:

@@ -112,6 +112,7 @@ def _agreeing(
 
 
 def _common(one: Sequence[Interval], other: Sequence[Interval]) -> list[Interval]:
+    """Return what two lists of intervals have in common."""
     pairs = [(max(a, c), min(b, d)) for a, b in one for c, d in other]
     return [(low, high) for low, high in pairs if low <= high]
 

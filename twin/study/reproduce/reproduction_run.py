@@ -189,6 +189,7 @@ def _picture(out: Path, name: str) -> Path:
 
 
 def _kept(out: Path, entry: Entry, bench: Bench) -> Table | None:
+    """Return what an earlier run left of an entry, if it still stands."""
     try:
         table: Table = json.loads(_records(out, entry).read_text())
     except (OSError, ValueError):
@@ -224,6 +225,7 @@ def _scenes_hash() -> str:
 
 
 def _publish(out: Path, bench: Bench, failed: dict[str, str]) -> None:
+    """Write the list of records and the page from the entries that stand."""
     from twin.show.reproduction_page import reproduction
 
     tables = [t for entry in ENTRIES.values() if (t := _kept(out, entry, bench)) is not None]

@@ -126,6 +126,7 @@ def _moments(protocol: Protocol, found: Found, *, printed: bool) -> Numbers:
 
 
 def _table(protocol: Protocol, bench: Bench) -> Entry.Outcome:
+    """Return averages and standard deviations by layer and axis, both ways, with both trackers."""
     theirs: list[Record] = []
     ours: list[Record] = []
     for number, way in enumerate(WAYS):

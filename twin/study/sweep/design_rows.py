@@ -132,6 +132,7 @@ class Rows:
         return found["each_s"], found["begin_s"], found["rows"], how
 
     def _compute(self, stage: str, missing: Mapping[str, dict[str, Any]]) -> None:
+        """Compute and store the rows of designs, by key, in tasks."""
         keys = list(missing)
         chunk = max(1, min(CHUNK[stage], -(-len(keys) // self._workers)))
         tasks = range(-(-len(keys) // chunk))
@@ -191,6 +192,7 @@ class _Stored(dict[str, Row]):
                 file.truncate(whole)
 
     def add(self, rows: Mapping[str, Row], shown: Mapping[str, bytes]) -> None:
+        """Keep finished rows, and what belongs to them."""
         for key, data in shown.items():
             path = _shown_file(self._folder, key)
             path.parent.mkdir(exist_ok=True)

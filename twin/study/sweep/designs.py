@@ -270,6 +270,7 @@ def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> 
 
 
 def _sweep_of(table: dict[str, Any], where: str) -> Sweep:
+    """Return the sweep of a table read from ``where``."""
     if "axes" not in table and table.keys() & {"base", *Scene.model_fields} - {*Sweep.model_fields}:
         raise RecipeError("is a scene, not a sweep over designs: give it to twin run", where)
     try:

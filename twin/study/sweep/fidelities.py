@@ -446,6 +446,7 @@ def _shifts(scene: Scene, number: int, bodies: Bodies, pushes: Pushes) -> Floats
 
 
 def _errors(known: _Information, pushes: Pushes, force: Floats, weight: float) -> dict[str, float]:
+    """Return errors of the totals of expected forces (k, 3, sensors, loads)."""
     noise = known.covariance(np.tile(np.eye(3), len(force)), weight)
     truth = pushes.loads.sum(axis=1)
     press = slice(1, 1 + pushes.presses)
@@ -465,6 +466,7 @@ def _errors(known: _Information, pushes: Pushes, force: Floats, weight: float) -
 def _widths(
     scene: Scene, sweep: Sweep, sites: Rectangles, pushes: Pushes, force: Floats
 ) -> dict[str, float]:
+    """Return widths and two-point distances of expected forces (k, 3, sensors, loads)."""
     grid = scene.inverse.sites
     apart = pushes.pair_mm
     profiles = [_Profiles(scene, sites, force[:, :, sensor]) for sensor in range(force.shape[2])]
@@ -683,6 +685,7 @@ def _nominal_compliance(scene: Scene, points: Points, sites: Rectangles, bodies:
 
 
 def _calibration(sensor: Sensor, bodies: Bodies) -> Calibration:
+    """Return the calibration of a design, which is the same for all its made sensors."""
     points = sensor.nominal_markers.points
     compliance = _nominal_compliance(sensor.nominal, points, sensor.sites, bodies)
     return nominal_calibration(sensor, compliance)
@@ -708,6 +711,7 @@ class _Made:
 
 
 def _make_rows(folder: Path, task: int) -> _Made:
+    """Return the rows of a task of the job whose files are in ``folder``."""
     worker = _worker(folder)
     before = worker.bodies.asked, worker.bodies.made
     done = [worker.row(number) for number in worker.numbers(task)]
@@ -731,6 +735,7 @@ class _Worker:
         self._pushes: dict[str, Pushes] = {}
 
     def numbers(self, task: int) -> range:
+        """Return the numbers of the designs of a task."""
         return range(task * self.chunk, min((task + 1) * self.chunk, len(self.designs)))
 
     def row(self, number: int) -> tuple[Row, bytes | None]:

@@ -370,6 +370,7 @@ BINS = 14
 
 
 def _maps(done: Swept) -> list[str]:
+    """Return maps over the first two axes that are numbers."""
     columns = {name: _numbers(done.designs.columns[name]) for name in done.designs.sweep.axes}
     axes = [(name, values) for name, values in columns.items() if values is not None][:2]
     if len(axes) < 2:

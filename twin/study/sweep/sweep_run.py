@@ -243,6 +243,7 @@ def run_sweep(
 
 
 def _sweep_designs(designs: Designs, rows: Rows) -> Swept:
+    """Take all designs through the fidelities."""
     sweep = designs.sweep
     count = len(designs)
     columns, reason = closed(designs)
@@ -293,6 +294,7 @@ def _sweep_designs(designs: Designs, rows: Rows) -> Swept:
 def _put(
     columns: dict[str, Floats], stage: str, chosen: Ints, rows: Sequence[Row], count: int
 ) -> None:
+    """Put the numbers of rows into the columns of chosen designs."""
     for number, row in zip(chosen, rows, strict=True):
         for name, value in row.items():
             if name not in ("status", "error"):

@@ -541,6 +541,7 @@ class FrictionalContact:
 
     @cached_property
     def _places(self) -> dict[bytes, FrictionalContact]:
+        """The patches at the last place that they were carried to."""
         return {}
 
     @cached_property

@@ -77,6 +77,7 @@ class _ContactStatus:
 
     @property
     def size(self) -> int:
+        """Number of unknowns."""
         return 2 * len(self.touching) + len(self.stuck)
 
     @property

@@ -47,6 +47,7 @@ class _Guess:
 
     @classmethod
     def of(cls, found: Equilibrium) -> _Guess:
+        """Return an equilibrium."""
         return cls(
             force_n=found.force_n,
             pose=found.pose,
@@ -56,6 +57,7 @@ class _Guess:
 
     @classmethod
     def at(cls, history: ContactHistory) -> _Guess:
+        """Return where a history ends."""
         return cls(
             force_n=history.force_n,
             pose=history.pose,
@@ -280,6 +282,7 @@ def _elastic_part(
     guess: _Guess | None,
     held: Bools | None,
 ) -> tuple[ContactHistory, Equilibrium]:
+    """Solve one part as `_part`, of elastic rubber."""
     here = grid.carried(history.slid_mm)
     problem = here.problem(history, control, held)
     if grid.sticks:

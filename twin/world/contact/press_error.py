@@ -260,6 +260,7 @@ class Estimates:
         return error
 
     def _borders(self, state: ContactState, step: int) -> list[_Border]:
+        """Return where each probe's contact ends at the end of a step."""
         if step not in self._known:
             pairs = zip(self._job.setups, (state, *state.also), strict=True)
             self._known[step] = [_Border(setup, one) for setup, one in pairs]
@@ -289,6 +290,7 @@ class Estimates:
 
     @cached_property
     def _resolves_rims(self) -> bool:
+        """Whether there is a rounded rim under few patches."""
         rounded = any(one.face and one.face.edge_mm > 0.0 for one in self._job.setups)
         return rounded and self._job.setups[0].across < _FEW_ON_RIM
 
@@ -307,6 +309,7 @@ class Estimates:
         return found
 
     def _others(self, step: int) -> list[tuple[int, ContactState]]:
+        """Return the states at a step's end on other patches, and how many are across."""
         return [(n, states[step]) for n, states in self._compared if step < len(states)]
 
     @cached_property
@@ -323,6 +326,7 @@ class Estimates:
 
     @cached_property
     def _few(self) -> list[ContactState]:
+        """The states on as few patches as can be compared."""
         return self._on_other_patches(self._increments, _FEWEST_COMPARED)
 
     def _on_other_patches(self, increments: int, across: int) -> list[ContactState]:
@@ -617,6 +621,7 @@ class _Border:
 
     @cached_property
     def load(self) -> Rectangles:
+        """The patches in contact, with their forces."""
         return _joined(Load(self.state.load.terms[:1]))
 
     @property
@@ -626,6 +631,7 @@ class _Border:
 
     @property
     def touches(self) -> bool:
+        """Whether there is any."""
         return len(self.state.pressure_mpa) > 0
 
     @property
@@ -707,6 +713,7 @@ class _Border:
 
     @property
     def ends_sharply(self) -> float:
+        """The share of it at which the object ends or folds."""
         sharp, _ = self._sharp_ends
         return float(np.count_nonzero(sharp)) / max(1, len(sharp))
 
@@ -793,6 +800,7 @@ class _Border:
 
     @property
     def longer(self) -> float:
+        """Its length over that of a disc of as many patches, at least 1."""
         count = len(self.state.pressure_mpa)
         return max(1.0, len(self.open_sides[0]) * math.sqrt(math.pi / count) / 8.0)
 
@@ -875,6 +883,7 @@ def _over(change: Floats | float, whole: Floats | float) -> float:
 
 
 def _areas(load: Rectangles) -> Floats:
+    """Return (n,) the areas of patches, mm2."""
     return np.asarray(4.0 * np.prod(load.half_mm, axis=1))
 
 

@@ -59,6 +59,7 @@ _OVERLAP = 0.02
 
 
 def _counted_from(control: Control, pose: Floats) -> Control:
+    """Return a step's control with its motions counted from a place."""
     return replace(control, given=np.where(control.by_force, control.given, pose + control.given))
 
 
@@ -105,6 +106,7 @@ def _stopped_at(programme: LoadProgramme, path: list[ContactState], why: object)
 
 
 def _refuse_overlap(contacts: ContactProblem, found: Equilibrium) -> None:
+    """Raise a ContactError where one probe's patch would lie inside another probe."""
     for number, (setup, _, motions) in enumerate(contacts.rows):
         for other, (_, rows, _) in enumerate(contacts.rows):
             active = found.active[rows]
@@ -248,6 +250,7 @@ class _OnGrid:
     reason: str = ""
 
     def take(self, programme: LoadProgramme, increments: int) -> None:
+        """Take the steps that follow those taken."""
         for count in range(len(self.path) + 1, len(programme.steps) + 1):
             step = programme.steps[count - 1]
             try:
@@ -515,6 +518,7 @@ def _frictionless_path(
 def _frictionless_step(
     programme: LoadProgramme, control: Control, pose: Floats
 ) -> tuple[ContactState, Floats]:
+    """Return the state at the end of a step, and the probes' places."""
     places = list(pose.reshape(-1, MOTIONS))
     states: list[ContactState | None] = [None] * len(programme.setups)
     touching = []
@@ -761,6 +765,7 @@ def _refuse_unguided(programme: LoadProgramme) -> None:
 
 
 def _refuse_overhang(setup: ProbeSetup) -> None:
+    """Raise a ContactError where a flat face is bound to run over the edge of a flat surface."""
     first = setup.first
     if first.level:
         return

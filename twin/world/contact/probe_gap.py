@@ -338,6 +338,7 @@ def _tilt_of(tilt_deg: tuple[float, float, float]) -> Floats:
 
 
 def _is_flat(probe: Probe, tilt_deg: tuple[float, float, float]) -> bool:
+    """Return whether a probe touches with a flat face."""
     if not isinstance(probe, Cylinder | Pillar):
         return False
     return not any(tilt_deg) or bool(
@@ -373,6 +374,7 @@ def _shape_of(
 
 @lru_cache(maxsize=8)
 def _stl_shape(file: str, _sha256: str, tilt_deg: tuple[float, float, float]) -> _Triangles:
+    """Return the surface of an STL file, tilted."""
     from twin.geometry.closed import PROBE_SIZE_MM, Surface
 
     surface = Surface.read(file, PROBE_SIZE_MM)
@@ -381,6 +383,7 @@ def _stl_shape(file: str, _sha256: str, tilt_deg: tuple[float, float, float]) ->
 
 @lru_cache(maxsize=8)
 def _object_shape(shape: str, width_mm: float, tilt_deg: tuple[float, float, float]) -> _Triangles:
+    """Return the surface of an object, tilted."""
     from twin.geometry.objects import object_triangles
 
     return _tilted(object_triangles(shape, width_mm), tilt_deg)

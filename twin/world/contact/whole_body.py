@@ -727,6 +727,7 @@ class RubberContact:
     def _meet(
         self, moved: Points, pose: Floats, state: RubberContact.State, *, linear: bool
     ) -> _Met:
+        """Return how the points of all probes meet these."""
         probes = zip(self.touches, pose, self.rows, state.slid_mm, strict=True)
         parts = [
             vars(touch.meet(moved, one, state.anchors.of(rows), slid, linear=linear))
@@ -735,6 +736,7 @@ class RubberContact:
         return _Met(**{name: np.concatenate([one[name] for one in parts]) for name in parts[0]})
 
     def _rub(self, met: _Met, anchors: _Anchors) -> _Rub:
+        """Return the friction on anchored points."""
         plane = np.eye(3) - met.normal[:, :, None] * met.normal[:, None, :]
         stiff = np.where(anchors.on, self._spring, 0.0)
         held = -stiff[:, None] * np.einsum("qij,qj->qi", plane, met.away)

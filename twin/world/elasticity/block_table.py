@@ -417,6 +417,7 @@ class _PointBasis:
 
     @cached_property
     def inside(self) -> bool:
+        """Whether all points are in the box."""
         sideways, depth = np.abs(self.points[:, :2]), self.points[:, 2]
         return bool((sideways <= self.box_mm[:2]).all() and (depth <= self.box_mm[2]).all())
 

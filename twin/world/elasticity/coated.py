@@ -169,6 +169,7 @@ class CoveredCompliance:
 
     @cached_property
     def _coarser(self) -> CoveredCompliance:
+        """The same on coarser meshes, by whose result the error is estimated."""
         rank = WORLD.index("coarse" if self.level == "nominal" else self.level)
         return CoveredCompliance(
             self.body,
@@ -308,6 +309,7 @@ class Ladder:
         self._places: list[tuple[Level, Points, Floats, Compliance]] = []
 
     def _at(self, level: Level) -> Compliance:
+        """Return the compliance on one level."""
         if level not in self._rungs:
             self._rungs[level] = Compliance(
                 self._body,

@@ -147,6 +147,7 @@ class Compliance:
 
     @cached_property
     def _bonded_layer(self) -> BondedLayer | None:
+        """The layer whose field is known."""
         if not (self._subtracted and self.one_material):
             return None
         return BondedLayer.of(self.body, self.material.poisson_ratio)
@@ -584,4 +585,5 @@ def _region(system: TaylorHood, body: Body, rectangles: Rectangles, near: bool) 
 
 
 def _largest(moved: Points) -> float:
+    """Return the largest of the lengths of (n, 3) displacements, mm."""
     return float(np.linalg.norm(moved, axis=1).max())

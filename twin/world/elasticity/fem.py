@@ -133,6 +133,7 @@ class TaylorHood:
 
     @cached_property
     def _shear(self) -> Floats:
+        """(m,) shear modulus G of every element, MPa."""
         return np.array([of.shear_ratio for of in self.made_of])[self.mesh.region]
 
     @cached_property

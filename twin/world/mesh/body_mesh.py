@@ -219,6 +219,7 @@ def outer_surface(body: Body, spacing_mm: float) -> tuple[Points, Ints]:
 
 
 def _body_name(body: Body) -> str:
+    """Return the body's kind in words, for messages."""
     return type(body).__name__.lower()
 
 

@@ -581,6 +581,7 @@ def _demosaic(raw: Singles, colours: Ints) -> Singles:
 
 
 def _compressed(counts: Picture, quality: int) -> Picture:
+    """Return a picture after JPEG compression."""
     from PIL import Image
 
     stream: Any = io.BytesIO()

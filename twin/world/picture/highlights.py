@@ -157,6 +157,7 @@ def _draw(
 
 
 def _unit(vectors: Floats) -> Floats:
+    """Return vectors of length 1."""
     square = np.einsum("...i,...i->...", vectors, vectors)[..., None]
     unit: Floats = vectors / np.sqrt(np.maximum(square, 1e-300))
     return unit

@@ -173,10 +173,12 @@ class _FoldedCamera(mi.Sensor):
         return mi.Ray3f(start, dr.normalize(mi.Vector3f(ray.z, ray.w, -1))), mi.Color3f(light)
 
     def sample_ray_differential(self, *sample: Any) -> Any:
+        """Return `sample_ray`; no texture needs its neighbours."""
         ray, light = self.sample_ray(*sample)
         return mi.RayDifferential3f(ray), light
 
     def to_string(self) -> str:
+        """Return a name for Mitsuba's messages."""
         return "FoldedCamera"
 
 
@@ -319,12 +321,15 @@ class _FoldedLeds(mi.Emitter):
         return mi.Color3f(0)
 
     def eval_direction(self, *_: Any) -> Any:
+        """Return no light: a point is never met."""
         return mi.Color3f(0)
 
     def pdf_direction(self, *_: Any) -> Any:
+        """Return 0: a point is never met."""
         return mi.Float(0)
 
     def to_string(self) -> str:
+        """Return a name for Mitsuba's messages."""
         return "FoldedLeds"
 
 

@@ -89,6 +89,7 @@ class Renderer:
     """
 
     def __new__(cls, scene: Scene, *_: Any, **__: Any) -> Renderer:
+        """Return an object of the class that the scene's ``renderer`` names."""
         return super().__new__(_PathRenderer if scene.renderer == "path" else Renderer)
 
     def __init__(
@@ -212,6 +213,7 @@ class Renderer:
 
     @cached_property
     def _shader(self) -> Shader:
+        """What draws the markers; the splat of the outlines, if the splat draws them."""
         if self.variant.name == "splat":
             return self._splat
         return RENDERERS[self.variant.name](self._view, self._unit, self.scene.imaging[1].ambient)
@@ -353,6 +355,7 @@ class _PathRenderer(Renderer):
 
     @property
     def drawn_by(self) -> str:
+        """See `Renderer`."""
         return f"path, {self.scene.accuracy.paths} paths a pixel, {super().drawn_by}"
 
     @cached_property
