@@ -839,11 +839,8 @@ def test_a_scene_of_the_lowest_poisson_ratio_is_solved_as_casting_leaves_it():
     ("press", "rubber", "words"),
     [
         ({"friction": 0.5, "also": (twin.Press(probe=BALL, force_n=(0, 0, 1.0)),)}, {}, "with the same friction"),
-        (
-            {"friction": 0.5, "probe": Cone(apex_deg=130, diameter_mm=3)},
-            {},
-            "tip_mm: a cone with friction",
-        ),
+        ({"friction": 0.5, "probe": Cone(apex_deg=130, diameter_mm=3)}, {}, "tip_mm = 0: a cone with friction"),
+        ({"friction": 0.5, "probe": Cone(apex_deg=130, diameter_mm=3, tip_mm=0.02)}, {}, "tip_mm: a cone with"),
         ({"friction": 0.5, "probe": Cylinder(diameter_mm=3)}, {}, "while a fifth of it sticks"),
         ({"friction": STICKY, "force_n": None, "indentation_mm": 0.1}, {}, "where a force presses it"),
         ({"friction": 0.5, "steps": ROLLED, "force_n": None}, {}, "doesn't roll"),

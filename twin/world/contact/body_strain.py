@@ -661,6 +661,11 @@ def _unsolved(press: Press, body: Body, material: Material) -> str:
         held = np.array([by_force for by_force, _ in controls])
         turned = np.abs(np.where(held, 0.0, [given for _, given in controls])).max(axis=0)
         if one.friction > 0.0:
+            if isinstance(one.probe, Cone) and one.probe.tip_mm == 0.0:
+                return (
+                    "press.probe.tip_mm = 0: a cone with friction is solved with a round tip, from "
+                    f"{_RUBBED_TIP:g} of the contact's radius on"
+                )
             if not held[:, Z].all():
                 return "press: a probe with friction is solved where a force presses it"
             if turned[ABOUT_X:TURN].any():
