@@ -5,6 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from drawn import LAYOUT, SIZE, flat_layout, joined, picture
+from numpy.testing import assert_allclose
 
 from benchmarks.conditions import Card
 from benchmarks.discs import expose, scene
@@ -57,6 +58,17 @@ def test_layout_may_be_off_by_shift_scale_and_tilt():
     found = track(picture(off, 1), picture(off, 2), LAYOUT)
     assert np.nanmax(np.abs(found.rest_px - joined(LAYOUT) - off)) < 0.1
     assert found.seen.all()
+
+
+@pytest.mark.parametrize("pitches", [(1.0, 0.0), (-1.1, 0.9), (0.15, 2.0)])
+@pytest.mark.parametrize("holes", [0, 3])
+def test_a_layout_may_be_off_by_rows_where_its_border_shows(pitches, holes):
+    """Every marker but a row was taken for its neighbour, and the row was missing."""
+    layout, size = {"red": flat_layout(9, 7, 30.0, (120.0, 110.0))["red"]}, (500, 420)
+    shift = np.tile(30.0 * np.array(pitches), (len(joined(layout)), 1))
+    shift[5 : 5 + 9 * holes : 9] = np.nan
+    found = track(picture(shift, 1, layout, size), picture(shift, 2, layout, size), layout)
+    assert_allclose(found.rest_px, joined(layout) + shift, atol=0.1)
 
 
 def moved_inside(shift, layout=LAYOUT, size=SIZE):

@@ -80,6 +80,15 @@ start: a grid moved by a whole pitch looks like one that hasn't moved, so a cold
 overrule a good one."""
 
 
+GATES = 0.4, 0.35, 0.3, 0.25, 0.2, 0.2
+"""How far a spot may lie from where its marker is expected, in spacings, fit by fit."""
+
+ROWS_OFF, LEAST_ODD, LEFT_ODD = 3, 6, 0.7
+"""How many rows of its lattice a drawing may lie off, where it has a border. A shift by a row is
+tried where so many markers have no spot or spots no marker, and taken if it leaves so small a share
+of these."""
+
+
 def spacing(points_px: Pixels) -> float:
     """Return the typical distance from a marker to its nearest neighbour, px; 30 for a lone
     marker."""
@@ -91,8 +100,11 @@ def spacing(points_px: Pixels) -> float:
     return float(max(np.median(distance[:, 1]), 1.0))
 
 
-def _onto_picture(nominal: list[Pixels], spots: list[Pixels], spacing_px: float) -> list[Pixels]:
-    """Return where the markers of a drawing are expected: the drawing under one affine map."""
+def _onto_picture(
+    nominal: list[Pixels], spots: list[Pixels], spacing_px: float, size_px: tuple[int, int]
+) -> list[Pixels]:
+    """Return where the markers of a drawing are expected in a picture (height, width): the drawing
+    under one affine map."""
     votes = np.concatenate(
         [_steps(n, s, 0.9 * spacing_px) for n, s in zip(nominal, spots, strict=True)]
     )
@@ -105,19 +117,58 @@ def _onto_picture(nominal: list[Pixels], spots: list[Pixels], spacing_px: float)
     )
     peak = sample[np.argmax(support)]
     shift = votes[np.linalg.norm(votes - peak, axis=1) < width].mean(axis=0)
+    expected, odd = _mapped(nominal, spots, shift, spacing_px, size_px)
+    for _ in range(ROWS_OFF):
+        if odd < LEAST_ODD:
+            break  # nearly always
+        ways = _lattice_steps(expected)
+        tried = [_mapped(expected, spots, way, spacing_px, size_px, GATES[-1:])[1] for way in ways]
+        if min(tried, default=odd) > LEFT_ODD * odd:
+            break
+        way = ways[np.argmin(tried)]
+        expected, odd = _mapped(expected, spots, way, spacing_px, size_px)
+    return expected
+
+
+def _lattice_steps(expected: list[Pixels]) -> Pixels:
+    """Return (k, 2) the ways from a middle marker of the largest layer to those around it, px."""
+    most = max(expected, key=len)
+    middle = most[np.argmin(np.linalg.norm(most - most.mean(axis=0), axis=1))]
+    way = most - middle
+    far = np.linalg.norm(way, axis=1)
+    return np.asarray(way[(far > 0.0) & (far < 1.5 * spacing(most))])
+
+
+def _mapped(
+    drawn: list[Pixels],
+    spots: list[Pixels],
+    shift: Pixels,
+    spacing_px: float,
+    size_px: tuple[int, int],
+    gates: tuple[float, ...] = GATES,
+) -> tuple[list[Pixels], int]:
+    """Return where markers are expected by the affine map that fits their spots best, begun from a
+    ``shift`` (2,) and by ever narrower ``gates``; and how many have no spot though well inside the
+    picture, or are spots without a marker."""
     affine = np.vstack([np.eye(2), shift])
-    drawn = np.concatenate(nominal)
-    for gate in (0.4, 0.35, 0.3, 0.25, 0.2, 0.2):
+    places = np.concatenate(drawn)
+    seen = np.zeros(len(places), np.bool_)
+    for gate in gates:
         pairs = [
-            _mutual_nearest(n @ affine[:2] + affine[2], s, gate * spacing_px)
-            for n, s in zip(nominal, spots, strict=True)
+            _mutual_nearest(each @ affine[:2] + affine[2], s, gate * spacing_px)
+            for each, s in zip(drawn, spots, strict=True)
         ]
         seen = np.concatenate(pairs) >= 0
         if seen.sum() < 4:
             break
         seen_at = np.concatenate([s[p[p >= 0]] for s, p in zip(spots, pairs, strict=True)])
-        affine = _fit_affine(drawn[seen], seen_at)
-    return [np.asarray(n @ affine[:2] + affine[2]) for n in nominal]
+        affine = _fit_affine(places[seen], seen_at)
+    expected = [np.asarray(each @ affine[:2] + affine[2]) for each in drawn]
+    border = 0.5 * spacing_px
+    beyond = np.concatenate(expected) - [size_px[1], size_px[0]]
+    inside = ((beyond < -border) & (np.concatenate(expected) > border)).all(axis=1)
+    odd = (inside & ~seen).sum() + sum(map(len, spots)) - seen.sum()
+    return expected, int(odd)
 
 
 def _steps(start: Pixels, spots: Pixels, reach: float) -> Pixels:
@@ -453,7 +504,9 @@ class Neighbourhood:
         return best.spot, bool(close or moved or equal or torn or gone or hidden)
 
     @staticmethod
-    def match_layout(nominal: list[Pixels], spots: list[Pixels], spacing_px: float) -> list[Ints]:
+    def match_layout(
+        nominal: list[Pixels], spots: list[Pixels], spacing_px: float, size_px: tuple[int, int]
+    ) -> list[Ints]:
         """Return which spot of the rest picture every marker of a drawing is, -1 where none is.
 
         The drawing is mapped onto the picture by one affine map; then its local misfit is taken
@@ -464,10 +517,14 @@ class Neighbourhood:
         nominal, spots
             (n, 2) drawn places and (b, 2) spots, px, group by group.
         spacing_px
-            Distance of neighbouring markers, px; the drawing may be off by most of it.
+            Distance of neighbouring markers, px; the drawing may be off by most of it, and by
+            `ROWS_OFF` where the picture shows its border.
+        size_px
+            Height and width of the picture.
         """
         found = []
-        for expected, seen in zip(_onto_picture(nominal, spots, spacing_px), spots, strict=True):
+        expected_px = _onto_picture(nominal, spots, spacing_px, size_px)
+        for expected, seen in zip(expected_px, spots, strict=True):
             size = spacing(expected)
             pair = _mutual_nearest(expected, seen, 0.4 * size)
             if (pair >= 0).sum() >= 4:

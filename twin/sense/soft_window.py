@@ -107,7 +107,8 @@ class SoftWindow(CentreEstimator):
         cls, picture: Picture, looks: list[Look], spacing_px: float, given: bool
     ) -> Sequence[SoftWindow]:
         spots = [look.blobs.centre_px[look.blobs.whole] for look in looks]
-        pairs = Neighbourhood.match_layout([look.nominal_px for look in looks], spots, spacing_px)
+        drawn = [look.nominal_px for look in looks]
+        pairs = Neighbourhood.match_layout(drawn, spots, spacing_px, looks[0].picture_px)
         return [cls._matched(look, pair) for look, pair in zip(looks, pairs, strict=True)]
 
     @classmethod
