@@ -98,13 +98,13 @@ BRIGHTER = 1.2
 """The counts from which on other layers show follow the picture's brightness where that has changed
 by more than this factor: else a ground that is twice as bright passes for a layer."""
 
-RELIT_LEVEL, RELIT_LEAVES = (1.06, 1.15), 3.0
-"""Factor of the markers' brightness from which on they are fitted again, from brightness and ground
-as now: else what the light lacks counts as the model's misfit, and where the model fits shaded
-markers badly, the robust fit ends in another place (.02 to .06 px off in .6 to .8 of the light). Up
-to the second of these, where squared residuals are so many times those at rest at most: light of .9
-to 1.1 leaves .9 to 2.1 times as much, defocus that takes a twelfth of the brightness 5 times, JPEG
-13 to 18 times."""
+RELIT_LITTLE, RELIT_LEVEL, RELIT_LEAVES = 1.06, 1.15, 3.0
+"""Where the markers' brightness has changed by more than the second factor, they are fitted again,
+from brightness and ground as now: else what the light lacks counts as the model's misfit, and where
+the model fits shaded markers badly, the robust fit ends in another place (.02 to .06 px off in .6
+to .8 of the light). So they are from the first factor on, where squared residuals are at most the
+third times those at rest: light of .9 to 1.1 leaves .9 to 2.1 times as much, defocus that takes a
+twelfth of the brightness 5 times, JPEG 13 to 18 times."""
 
 SMOOTHER = 0.88
 """Brightness, or both (`LayerSignal.brightness`), replaces a layer's colour where third harmonics
@@ -375,20 +375,18 @@ class DiscFit(SoftWindow):
         if self.pictures:
             self.pictures.fit(picture, templates, fitted, self.around)
             cut &= fitted[:, RESHAPED] != OWN_PICTURE
-        if not (np.fmax.reduce(fitted[:, DOUBTED]) > 0.0 or cut.any()):
-            fitted[:, LIT] = light
-            return fitted  # nearly always
-        fitted = self._refit(picture, templates, fitted, cut, start_px)
+        if np.fmax.reduce(fitted[:, DOUBTED]) > 0.0 or cut.any():  # seldom
+            fitted = self._refit(picture, templates, fitted, cut, start_px)
         fitted[:, LIT] = light
         return fitted
 
     def _in_other_light(self, fitted: Floats, gain: float) -> bool:
         """Return whether light has changed the markers' brightness by the factor ``gain``, and not
         compression or a blur, which leave more than it does."""
-        if not gain > RELIT_LEVEL[0]:
+        if not gain > RELIT_LITTLE:
             return False  # nearly always
         left = medians(fitted[:, MISFIT] / self.templates.rest[:, MISFIT])
-        return bool(gain > RELIT_LEVEL[1] or left < RELIT_LEAVES)
+        return bool(gain > RELIT_LEVEL or left < RELIT_LEAVES)
 
     def _refit(
         self, picture: Picture, templates: Templates, fitted: Floats, cut: Bools, start_px: Pixels

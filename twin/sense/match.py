@@ -121,22 +121,14 @@ def _onto_picture(
     for _ in range(ROWS_OFF):
         if odd < LEAST_ODD:
             break  # nearly always
-        ways = _lattice_steps(expected)
+        most = max(expected, key=len)
+        ways = Neighbourhood.of(most, spacing(most)).steps
         tried = [_mapped(expected, spots, way, spacing_px, size_px, GATES[-1:])[1] for way in ways]
         if min(tried, default=odd) > LEFT_ODD * odd:
             break
         way = ways[np.argmin(tried)]
         expected, odd = _mapped(expected, spots, way, spacing_px, size_px)
     return expected
-
-
-def _lattice_steps(expected: list[Pixels]) -> Pixels:
-    """Return (k, 2) the ways from a middle marker of the largest layer to those around it, px."""
-    most = max(expected, key=len)
-    middle = most[np.argmin(np.linalg.norm(most - most.mean(axis=0), axis=1))]
-    way = most - middle
-    far = np.linalg.norm(way, axis=1)
-    return np.asarray(way[(far > 0.0) & (far < 1.5 * spacing(most))])
 
 
 def _mapped(
@@ -164,9 +156,8 @@ def _mapped(
         seen_at = np.concatenate([s[p[p >= 0]] for s, p in zip(spots, pairs, strict=True)])
         affine = _fit_affine(places[seen], seen_at)
     expected = [np.asarray(each @ affine[:2] + affine[2]) for each in drawn]
-    border = 0.5 * spacing_px
-    beyond = np.concatenate(expected) - [size_px[1], size_px[0]]
-    inside = ((beyond < -border) & (np.concatenate(expected) > border)).all(axis=1)
+    border, at = 0.5 * spacing_px, np.concatenate(expected)
+    inside = ((at > border) & (at < np.array([size_px[1], size_px[0]]) - border)).all(axis=1)
     odd = (inside & ~seen).sum() + sum(map(len, spots)) - seen.sum()
     return expected, int(odd)
 
@@ -281,8 +272,7 @@ class Neighbourhood:
     @cached_property
     def far_partner(self) -> Ints:
         """``partner``, and those two steps away."""
-        found = list(self.partner)
-        steps = [self._step(partner) for partner in found]
+        found, steps = list(self.partner), list(self.steps)
         for first, second in combinations_with_replacement(self.partner, 2):
             there = np.where(first >= 0, second[first], -1)
             back = np.where(second >= 0, first[second], -1)
@@ -294,6 +284,11 @@ class Neighbourhood:
                 steps.append(step)
         return np.array(found, np.int64).reshape(-1, len(self.rest_px))
 
+    @cached_property
+    def steps(self) -> Pixels:
+        """(l, 2) the shortest steps of the lattice, those to `partner`, px."""
+        return np.array([self._step(partner) for partner in self.partner]).reshape(-1, 2)
+
     def _step(self, partner: Ints) -> Floats:
         """Return (2,) the usual step from markers to their partners, px; NaN where none has any."""
         steps = np.where((partner >= 0)[:, None], self.rest_px[partner] - self.rest_px, np.nan)
@@ -303,11 +298,10 @@ class Neighbourhood:
     def beyond(self, spots: Pixels) -> Ints:
         """Return which of the ``spots`` (b, 2), none of them a marker's, go on with the markers'
         lattice: step by step from marker to spot, and from spot to spot."""
-        steps = np.array([self._step(partner) for partner in self.partner]).reshape(-1, 2)
         known, found = self.rest_px, np.zeros(len(spots), np.bool_)
         known = known[np.isfinite(known[:, 0])]
-        while len(steps) and len(known) and not found.all():
-            away, _ = cKDTree((known[:, None] + steps).reshape(-1, 2)).query(spots)
+        while len(self.steps) and len(known) and not found.all():
+            away, _ = cKDTree((known[:, None] + self.steps).reshape(-1, 2)).query(spots)
             new = (away < LATTICE_REACH * self.spacing_px) & ~found
             if not new.any():
                 break
