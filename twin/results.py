@@ -23,9 +23,6 @@ from twin.display import (
 from twin.errors import InputError
 from twin.files import make_folder, png_bytes, write_json, write_whole
 
-_UNSURE = 0.1
-"""Stated deviation of a push, over the push, from which on its cause is named."""
-
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Truth(Table):
@@ -161,7 +158,7 @@ class RunResult:
         What is under each probe that touches.
     facts
         What the report adds to the numbers: contact, calibration, validity, what truth and
-        estimate share.
+        estimate share, why one layer of markers leaves a push uncertain.
     timings
         Seconds by stage, in order.
     """
@@ -265,10 +262,6 @@ class RunResult:
         total = f"time        {sum(self.timings.values()):.1f} s"
         return "\n".join([*lines, ": ".join(filter(None, (total, ", ".join(long))))])
 
-    @property
-    def _one_layer(self) -> bool:
-        return self.truth is not None and len(set(self.truth.marker_layer.tolist())) == 1
-
     def _force_lines(self, force: dict[str, Any]) -> list[str]:
         """Return the errors of total force, centre and field that are defined."""
         lines = []
@@ -289,11 +282,8 @@ class RunResult:
                         f"sites' sum  {_share(force['sites_force_error'], 1)} off: Fz "
                         f"{sites[2]:.4g} N, of sites that only push or obey friction"
                     )
-                if sd[2] > max(_UNSURE * abs(total[2]), 3.0 * sd[0]) and self._one_layer:
-                    lines.append(
-                        "push        uncertain, as ± says: one layer of dots hardly shows it; a "
-                        "second layer helps (docs/one_layer.md)"
-                    )
+                if cause := self.facts.get("one_layer"):
+                    lines.append(f"push        uncertain, as ± says: {cause}")
         if force["centre_error_mm"] is not None:
             lines.append(f"centre      {force['centre_error_mm']:.3g} mm off")
         if force["field_error"] is not None:

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 import twin
 from twin.results import Estimate, RunResult, Truth
+from twin.sense.reconstruct import Field
 from twin.show.explain import LIMITS, explain
 from twin.show.figure_panels import Panel
 from twin.show.report import report
@@ -172,7 +173,6 @@ SCORE = {
     "force": {"total_force_error": 0.25, "field_error": None, "centre_error_mm": 0.1},
     "reasons": {"elastic.contact_over_probe_radius": "the probe is flat"},
 }
-ONE_LAYER = "[material]\npoisson_ratio = 0.5\n[markers.dots]\ndepth_mm = 0.5\n"
 
 
 def found(score: dict, scene: str = "") -> dict:
@@ -226,14 +226,35 @@ def test_large_strain_is_left_out_only_by_the_linear_law() -> None:
     assert "which is included" in included.sentence
 
 
-def test_one_layer_explains_an_uncertain_push_only_where_it_is_the_cause() -> None:
-    assert "one layer" in found(SCORE, ONE_LAYER)["force.total_force_error"].sentence
-    assert "one layer" not in found(SCORE, ONE_LAYER + "[markers.deep]\n")["force.total_force_error"].sentence
-    soft = ONE_LAYER.replace("0.5\n[", "0.3\n[")
-    assert "one layer" not in found(SCORE, soft)["force.total_force_error"].sentence
-    right = copy.deepcopy(SCORE)
-    right["force"]["total_force_error"] = 0.01
-    assert "one layer" not in found(right, ONE_LAYER)["force.total_force_error"].sentence
+def pushed(sideways_n: float, push_n: float, sd_n: tuple[float, float, float]) -> Field:
+    """Return a field of nothing but totals."""
+    none = np.zeros((0, 3))
+    return Field(
+        site_mm=none, force_n=none, sd_force_n=none, used=np.zeros(0, bool), wrong=np.zeros(0, bool),
+        total_force_n=np.array([sideways_n, 0.0, push_n]), total_torque_nmm=np.zeros(3),
+        sd_total_n=np.array(sd_n), sd_torque_nmm=np.zeros(3),
+        weight=1.0, noise_px=0.01, method="smooth",
+    )  # fmt: skip
+
+
+def test_one_layer_is_named_only_where_it_leaves_the_push_uncertain() -> None:
+    unsure = pushed(0.0, 0.045, (0.001, 0.001, 0.006))
+    assert "one layer of dots" in unsure.one_layer(np.array(["dots", "dots"]))
+    assert unsure.one_layer(np.array(["red", "blue"])) == ""
+    for sure in (
+        pushed(0.0, 0.045, (0.001, 0.001, 0.002)),
+        pushed(0.5, 0.045, (0.001, 0.001, 0.006)),
+        pushed(0.0, 0.045, (0.004, 0.004, 0.006)),
+    ):
+        assert sure.one_layer(np.array(["dots"])) == ""
+
+
+def test_a_cause_is_explained_beside_the_stated_error() -> None:
+    score = copy.deepcopy(SCORE)
+    score["force"]["total_force_stated"] = 0.2
+    assert "uncertain" not in found(score)["force.total_force_stated"].sentence
+    score["facts"] = {"one_layer": "one layer of dots"}
+    assert "is uncertain: one layer of dots." in found(score)["force.total_force_stated"].sentence
 
 
 def test_lines_begin_with_the_verdict_and_end_with_the_limit() -> None:

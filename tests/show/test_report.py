@@ -388,11 +388,11 @@ def test_dark_pictures_are_shown_brighter_by_a_stated_factor(full: RunResult) ->
     assert "brightness(" not in report(replace(full, rest=light, pressed=light))
 
 
-def test_one_layer_is_named_as_the_cause_where_its_force_is_off(full: RunResult) -> None:
-    scene = "[material]\npoisson_ratio = 0.5\n[markers.dots]\ndepth_mm = 0.5\n"
-    off = {**full.score, "force": {**full.score["force"], "total_force_error": 0.7}}
-    assert "one layer of markers" in report(replace(full, scene_toml=scene, score=off))
-    assert "one layer of markers" not in report(replace(full, scene_toml=scene))
+def test_one_layer_is_named_as_the_cause_of_an_uncertain_push(full: RunResult) -> None:
+    assert "is uncertain" not in report(full)
+    page = report(replace(full, facts={**full.facts, "one_layer": "one layer of dots"}))
+    assert page.count("is uncertain: one layer of dots.") == 1
+    assert page.count("one layer of dots") == 1
 
 
 def test_ticks_are_round_and_inside() -> None:

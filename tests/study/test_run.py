@@ -4,7 +4,6 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -207,7 +206,7 @@ FORCE = {
 }
 
 
-def summary_of(sites: list[float], layers: tuple[str, ...] = ("dots",), sd_n: float = 0.002) -> str:
+def summary_of(sites: list[float], **facts: str) -> str:
     force = np.array([[0.0, 0.0, push] for push in sites])
     estimate = Estimate(
         marker_rest_px=np.zeros((0, 2)),
@@ -219,12 +218,11 @@ def summary_of(sites: list[float], layers: tuple[str, ...] = ("dots",), sd_n: fl
         total_force_n=np.array([0.0, 0.0, -0.045]),
         total_torque_nmm=np.zeros(3),
         sd_force_n=np.zeros_like(force),
-        sd_total_n=np.array([0.001, 0.001, sd_n]),
+        sd_total_n=np.array([0.001, 0.001, 0.002]),
         sd_torque_nmm=np.zeros(3),
     )
     score = {"tracking": TRACKING, "force": FORCE}
-    truth = SimpleNamespace(marker_layer=np.array(layers))
-    return RunResult(scene_toml="", truth=truth, estimate=estimate, score=score, timings={"tracking": 1.0}).summary()
+    return RunResult(scene_toml="", estimate=estimate, score=score, facts=facts, timings={"tracking": 1.0}).summary()
 
 
 def test_total_centre_and_field_are_printed() -> None:
@@ -238,8 +236,8 @@ def test_total_centre_and_field_are_printed() -> None:
 
 
 def test_a_push_that_one_layer_hardly_shows_is_explained() -> None:
-    assert "one layer of dots hardly shows it" in summary_of([-0.045], sd_n=0.006)
-    assert "one layer" not in summary_of([-0.045], ("red", "blue"), sd_n=0.006)
+    line = "push        uncertain, as ± says: one layer of dots"
+    assert line in summary_of([-0.045], one_layer="one layer of dots")
 
 
 def test_under_bounds_both_totals_are_printed() -> None:

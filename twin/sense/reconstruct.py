@@ -66,6 +66,16 @@ linear ones fit of the noise. It is 0.4 to 3.1 where bounds hold (39 presses of 
 sideways by 0.8 of the push with a coefficient of 0.5. Beyond it the totals' way to the bounded ones
 counts by the inverse ratio."""
 
+UNSURE, SIDEWAYS = 0.05, 3.0
+"""Stated deviation of the total along z, over its size and over the deviation along x, above which
+one layer of markers is named as the cause."""
+
+ONE_LAYER = (
+    "one layer of dots hardly shows a push, as rubber that keeps its volume moves down under it "
+    "more than sideways, and the camera sees sideways motion only; a second layer at another "
+    "depth, or bounds, help (docs/one_layer.md)"
+)
+
 DECADE = 0.1
 """Under constraints an automatic weight is rounded to this in its logarithm, so that what was
 solved serves again."""
@@ -142,6 +152,15 @@ class Field(Table):
             "markers used": str(int(self.used.sum())),
             "method": self.method,
         }
+
+    def one_layer(self, layer: np.ndarray) -> str:
+        """Return why the total along z is uncertain where that is since its markers, of which
+        ``layer`` names the layers, are a single layer's; else nothing."""
+        along, _, push = self.sd_total_n
+        size = np.linalg.norm(self.total_force_n)
+        if len(np.unique(layer)) != 1 or push <= max(UNSURE * size, SIDEWAYS * along):
+            return ""
+        return ONE_LAYER
 
     def columns(self) -> dict[str, Floats]:
         """Return a row for every site: place, mm, force, N, and its standard deviation, N."""

@@ -21,9 +21,6 @@ WORDS: dict[str, dict[str, Any]] = tomllib.loads(
 LIMITS = {key: words["limits"] for key, words in WORDS.items() if "limits" in words}
 """Largest good and largest fair value; of the markers found, the share that is missing."""
 
-NEARLY_INCOMPRESSIBLE = 0.45
-"""Poisson's ratio from which a layer near the surface hardly moves sideways under a push."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Finding:
@@ -45,7 +42,7 @@ class _Finding:
 def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
     """Return a finding for every number of ``score.json`` that has a sentence; undefined ones have
     their reason. Causes that lie in the design are read from the run's resolved scene."""
-    reasons = score.get("reasons") or {}
+    reasons, facts = score.get("reasons") or {}, score.get("facts") or {}
     large_strain = _table(scene_toml, "material").get("law", "linear") != "linear"
     found = []
     for key, words in WORDS.items():
@@ -73,28 +70,11 @@ def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
             text = f"Large strain, which is included, moves the markers by {shown} of the largest "
             text += "displacement more or less than linear theory."
             verdict = ""
-        if key == "force.total_force_error" and verdict != "good":
-            text = f"{text} {one_layer(scene_toml)}".rstrip()
+        if key == "force.total_force_stated" and (cause := facts.get("one_layer")):
+            text = f"{text} The force into the surface is uncertain: {cause}."
         stored = unit.name if unit.times == 1.0 else "1"
         found.append(_Finding(key=key, value=value, unit=stored, sentence=text, verdict=verdict))
     return found
-
-
-def one_layer(scene_toml: str) -> str:
-    """Return why the force into the surface is uncertain with one layer of markers in nearly
-    incompressible rubber; empty for other scenes."""
-    layers = _table(scene_toml, "markers")
-    ratio = _table(scene_toml, "material").get("poisson_ratio")
-    if not isinstance(ratio, int | float):
-        return ""
-    if len(layers) != 1 or ratio < NEARLY_INCOMPRESSIBLE:
-        return ""
-    return (
-        f"This sensor has one layer of markers in nearly incompressible rubber (Poisson's ratio "
-        f"{ratio:g}): a push moves such a layer down more than sideways, and the camera sees "
-        "sideways motion only. So the force into the surface is uncertain; a second layer at "
-        "another depth, or bounds, help (docs/one_layer.md)."
-    )
 
 
 def _table(scene_toml: str, name: str) -> Mapping[str, Any]:

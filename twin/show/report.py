@@ -22,7 +22,7 @@ from scipy.spatial.distance import pdist
 from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice, spacing
 from twin.files import png_bytes
 from twin.results import RunResult, Truth
-from twin.show.explain import LIMITS, WORDS, one_layer
+from twin.show.explain import WORDS
 from twin.show.html_page import Unit, digits, figure, finite, page, table, two_columns
 from twin.show.svg_plots import Axes
 
@@ -40,7 +40,7 @@ def report(result: RunResult) -> str:
         ("Forces", _forces(result)),
         ("Errors by stage", _errors(result.score)),
         ("Time", _times(result.timings)),
-        ("Facts", _facts({k: v for k, v in result.facts.items() if k != "course"})),
+        ("Facts", _facts({k: v for k, v in result.facts.items() if k not in _ELSEWHERE})),
     ]
     return page(
         _title(result.scene_toml),
@@ -49,6 +49,10 @@ def report(result: RunResult) -> str:
         sections,
         result.scene_toml,
     )
+
+
+_ELSEWHERE = ("course", "one_layer")
+"""Facts that stand in the section on the press."""
 
 
 def _verdict(result: RunResult) -> str:
@@ -195,11 +199,9 @@ def _press(result: RunResult) -> str:
     contact = result.facts.get("contact", {})
     wanted = ("indentation_mm", "contact_radius_mm", "area_mm2", "peak_pressure_mpa")
     shown = _facts({key: contact[key] for key in wanted if finite(contact.get(key)) is not None})
-    total = _figure(result.score or {}, "force", "total_force_error")
-    cause = ""
-    if total is not None and abs(total) > LIMITS["force.total_force_error"][0]:
-        cause = one_layer(result.scene_toml)
-    note = f'<p class="note">{escape(cause)}</p>' if cause else ""
+    cause = result.facts.get("one_layer", "")
+    said = f"The force into the surface is uncertain: {cause}."
+    note = f'<p class="note">{escape(said)}</p>' if cause else ""
     return _resultants(result) + note + shown + _course(result.facts.get("course"))
 
 

@@ -534,6 +534,7 @@ class _Summary:
         self._doubted = 0
         self._last = ""
         self._largest: dict[str, Any] = {}
+        self._layer, self._one_layer = known.layer, ""
         self._states: dict[str, int] = {}
         self._squares: list[float] = []
 
@@ -547,6 +548,7 @@ class _Summary:
             self._squares.append(float((result.field.sd_total_n**2).sum()))
             if _size(row) >= _size(self._largest):
                 self._largest = row
+                self._one_layer = result.field.one_layer(self._layer)
         if result.reason:
             kind = "failed" if result.field is None else "doubtful"
             self.failed += kind == "failed"
@@ -580,11 +582,8 @@ class _Summary:
                 f"sites' sum  {', '.join(parts)} N there, of sites that only push or obey "
                 "friction; the total above is solved without these bounds"
             )
-        if abs(row["fz_n"]) < 3.0 * row["sd_fz_n"] and row["sd_fz_n"] > 3.0 * row["sd_fx_n"]:
-            lines.append(
-                "push        uncertain, as ± Fz says: one layer of dots hardly shows it; "
-                "a second layer helps (docs/one_layer.md)"
-            )
+        if self._one_layer:
+            lines.append(f"push        uncertain, as ± Fz says: {self._one_layer}")
         return lines
 
 

@@ -411,6 +411,8 @@ class _Stages:
             sites = len(self.calibration.site_mm)
             facts["calibration"] = {"method": scene.calibration.method, "sites": sites}
             facts["weight"] = self.field.weight
+            if cause := self.field.one_layer(self.calibration.layer):
+                facts["one_layer"] = cause
         if "picture" in self.needed:
             facts["renderer"] = self.sensor.renderer.drawn_by
             if self.sensor.saturation is not None:
