@@ -71,6 +71,16 @@ def test_a_layout_may_be_off_by_rows_where_its_border_shows(pitches, holes):
     assert_allclose(found.rest_px, joined(layout) + shift, atol=0.1)
 
 
+@pytest.mark.parametrize("diagonals", [(0.5, 0.5), (-0.5, 0.5), (0.5, -0.45)])
+def test_layers_between_each_other_are_not_exchanged_where_the_drawing_is_off_by_half_a_diagonal(diagonals):
+    """Each layer was taken for the other one: colours were given to layers before their places were known."""
+    layout, size = flat_layout(8, 6, 30.0, (60.0, 60.0)), (330, 270)
+    shift = 30.0 * np.array(diagonals)
+    found = track(picture(shift, 1, layout, size), picture(shift, 2, layout, size), layout)
+    assert_allclose(found.rest_px, joined(layout) + shift, atol=0.1)
+    assert found.seen.all()
+
+
 def moved_inside(shift, layout=LAYOUT, size=SIZE):
     """Return the shift, NaN for markers that it takes out of the picture."""
     place = joined(layout) + shift

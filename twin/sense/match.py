@@ -102,14 +102,14 @@ def spacing(points_px: Pixels) -> float:
 
 def _onto_picture(
     nominal: list[Pixels], spots: list[Pixels], spacing_px: float, size_px: tuple[int, int]
-) -> list[Pixels]:
+) -> tuple[list[Pixels], int]:
     """Return where the markers of a drawing are expected in a picture (height, width): the drawing
-    under one affine map."""
+    under one affine map; and how many are odd, see `_mapped`."""
     votes = np.concatenate(
         [_steps(n, s, 0.9 * spacing_px) for n, s in zip(nominal, spots, strict=True)]
     )
     if not len(votes):
-        return nominal
+        return nominal, sum(map(len, nominal)) + sum(map(len, spots))
     width = max(0.12 * spacing_px, 1.0)
     sample = votes[:: max(1, len(votes) // 2000)]
     support = cKDTree(votes).query_ball_point(sample, width, return_length=True) * (
@@ -128,7 +128,7 @@ def _onto_picture(
             break
         way = ways[np.argmin(tried)]
         expected, odd = _mapped(expected, spots, way, spacing_px, size_px)
-    return expected
+    return expected, odd
 
 
 def _mapped(
@@ -500,8 +500,9 @@ class Neighbourhood:
     @staticmethod
     def match_layout(
         nominal: list[Pixels], spots: list[Pixels], spacing_px: float, size_px: tuple[int, int]
-    ) -> list[Ints]:
-        """Return which spot of the rest picture every marker of a drawing is, -1 where none is.
+    ) -> tuple[list[Ints], int]:
+        """Return which spot of the rest picture every marker of a drawing is, -1 where none is;
+        and how many markers have no spot, or are spots without a marker.
 
         The drawing is mapped onto the picture by one affine map; then its local misfit is taken
         off.
@@ -517,7 +518,7 @@ class Neighbourhood:
             Height and width of the picture.
         """
         found = []
-        expected_px = _onto_picture(nominal, spots, spacing_px, size_px)
+        expected_px, odd = _onto_picture(nominal, spots, spacing_px, size_px)
         for expected, seen in zip(expected_px, spots, strict=True):
             size = spacing(expected)
             pair = _mutual_nearest(expected, seen, 0.4 * size)
@@ -526,7 +527,7 @@ class Neighbourhood:
                 start = np.where((pair >= 0)[:, None], seen[pair] - expected, np.nan)
                 pair, _ = Neighbourhood.of(expected, size).follow(seen, alike, start)
             found.append(pair)
-        return found
+        return found, odd
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from itertools import permutations
 from numbers import Real
 
 import numpy as np
@@ -29,7 +30,7 @@ from twin.sense.colour import (
 )
 from twin.sense.detect import Blobs
 from twin.sense.disc_fit import DiscFit
-from twin.sense.match import spacing
+from twin.sense.match import LEAST_ODD, LEFT_ODD, Neighbourhood, spacing
 from twin.sense.paper_centroid import PaperCentroid
 from twin.sense.rest_templates import LEAST_CONTRAST_DN
 from twin.sense.soft_window import SoftWindow
@@ -142,12 +143,10 @@ def _analysed(
         for name in drawn:
             red, green, blue = (float(w) for w in channels[name])
             weights[name] = (red, green, blue)
+    looks = _looks(picture, drawn, weights, diameter_px)
+    if channels is None:
+        weights, looks = _fewest_odd(picture, drawn, weights, diameter_px, looks, size)
     layer = np.concatenate([np.full(len(p), name) for name, p in drawn.items()]).astype(np.str_)
-    nominal = np.concatenate(list(drawn.values()))
-    looks = []
-    for w in dict.fromkeys(weights.values()):
-        rows = np.flatnonzero([weights[str(name)] == w for name in layer])
-        looks.append(_first_look(picture, w, rows, nominal[rows], diameter_px))
     groups = METHODS[method].at_rest(picture, looks, size, channels is not None)
     rest_px, usual = np.full((len(layer), 2), np.nan), np.full(len(layer), np.nan)
     for group in groups:
@@ -164,6 +163,56 @@ def _analysed(
         method=method,
         flaws=flaws,
     )
+
+
+def _looks(
+    picture: Picture,
+    drawn: dict[str, Pixels],
+    weights: dict[str, Weights],
+    diameter_px: float | None,
+) -> list[Look]:
+    """Return the first look at the markers of every colour."""
+    nominal = np.concatenate(list(drawn.values()))
+    of_marker = np.repeat(np.arange(len(drawn)), [len(places) for places in drawn.values()])
+    looks = []
+    for w in dict.fromkeys(weights.values()):
+        layers = [number for number, name in enumerate(drawn) if weights[name] == w]
+        rows = np.flatnonzero(np.isin(of_marker, layers))
+        looks.append(_first_look(picture, w, rows, nominal[rows], diameter_px))
+    return looks
+
+
+def _fewest_odd(
+    picture: Picture,
+    drawn: dict[str, Pixels],
+    weights: dict[str, Weights],
+    diameter_px: float | None,
+    looks: list[Look],
+    spacing_px: float,
+) -> tuple[dict[str, Weights], list[Look]]:
+    """Return the colours of the layers, and ``looks`` by them, exchanged where that leaves far
+    fewer markers without a spot and spots without a marker.
+
+    Why: colours are given to layers where the drawing may be off by less than half a step. Off by
+    more, layers that lie between each other are taken for one another, up to their borders.
+    """
+    best = weights, looks
+    least = _odd_spots(looks, spacing_px)
+    orders = permutations(weights.values()) if len(looks) == len(drawn) > 1 else iter(())
+    for order in orders if least >= LEAST_ODD else ():
+        tried = dict(zip(drawn, order, strict=True))
+        seen = _looks(picture, drawn, tried, diameter_px)
+        odd = _odd_spots(seen, spacing_px)
+        if odd < LEFT_ODD * least:
+            best, least = (tried, seen), odd
+    return best
+
+
+def _odd_spots(looks: list[Look], spacing_px: float) -> int:
+    """Return how many markers have no spot, or are spots without a marker."""
+    spots = [look.blobs.centre_px[look.blobs.whole] for look in looks]
+    drawn = [look.nominal_px for look in looks]
+    return Neighbourhood.match_layout(drawn, spots, spacing_px, looks[0].picture_px)[1]
 
 
 def _first_look(
