@@ -100,7 +100,8 @@ class Field(Table):
         Noise of a shift's component as the fit has it, px: measurement and model error together.
     sd_force_n
         (k, 3) standard deviation of the linear estimate's forces, given the prior, N: forces as
-        large as the motion shows, where a rule chose the weight.
+        large as the motion shows, where a rule chose the weight. By ``local`` also by where in
+        their cells they act (`Calibration.misplaced_px`).
     sd_total_n, sd_torque_nmm
         (3,) standard deviations of the totals, N and N mm: by the noise, by what the calibration
         leaves open (`Calibration.scale_error`, `Calibration.read_error`,
@@ -662,6 +663,11 @@ WITHIN_CELL = 120**-0.5
 difference of the response from site to site: x (1 - x)/2, root mean square over places x."""
 
 
+NARROW = 0.1
+"""What a cell holds beyond its neighbours, over the largest, from which on it counts for the
+deviations by place."""
+
+
 def _with_model_error(problem: Problem, whole: Floats, force_n: Floats) -> tuple[Problem, Floats]:
     """Return the problem and its whitened data with the model error in the noise: where in a site's
     cell its part of ``force_n`` (k, 3) acts isn't known."""
@@ -694,7 +700,28 @@ def _solved_locally(
         found = _solved(_localised(part, before), data, rule, robust, camera)
     moved = (found.force_n - before).sum(axis=0)
     carries = found.problem.factors.back.any(axis=1).reshape(-1, 3)
-    return found, np.where(carries, found.sd_force_n, smooth.sd_force_n), moved
+    sd_force = np.hypot(found.sd_force_n, _sd_by_place(found))
+    return found, np.where(carries, sd_force, smooth.sd_force_n), moved
+
+
+def _sd_by_place(linear: _Linear) -> Floats:
+    """Return (k, 3) deviations of forces, N, by where in their cells they act: of what cells hold
+    beyond the mean of their neighbours."""
+    problem, calibration = linear.problem, linear.problem.calibration
+    field = np.pad(linear.force_n.reshape(*calibration.grid, 3), ((1, 1), (1, 1), (0, 0)))
+    change = np.diff(field, 2, axis=0)[:, 1:-1] + np.diff(field, 2, axis=1)[1:-1]
+    narrow = -change.reshape(-1, 3) / 4
+    size = np.linalg.norm(narrow, axis=1)
+    shifts = [
+        calibration.misplaced_px(int(site), narrow[site]) / 2
+        for site in np.flatnonzero(size > NARROW * size.max())
+    ]
+    data = [problem.whiten(shift) for each in shifts for shift in each if shift.any()]
+    if not data:
+        return np.zeros_like(linear.force_n)
+    every = np.eye(linear.force_n.size)
+    taken = problem.factors.sums(every, np.stack(data), linear.weight)
+    return np.asarray(np.sqrt((taken**2).sum(axis=0)).reshape(-1, 3))
 
 
 LEAST_PX = 0.5
