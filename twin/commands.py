@@ -608,7 +608,7 @@ def calibrate(
         # A scene has tables already, and its camera's pitch is what is questioned.
         tables = out or (Path("markers.toml") if scene is None else None)
         drawn = overlay or (tables and tables.with_suffix(".png"))
-        text = layout_to_files(
+        yield from layout_to_files(
             layout_from,
             tables,
             drawn,
@@ -616,7 +616,6 @@ def calibrate(
             depth_mm=depth_mm,
             scene=None if scene is None else _load(scene, set_),
         )
-        yield text, {"file": tables and str(tables), "overlay": drawn and str(drawn)}
         return
     if overlay is not None or pitch_mm or depth_mm:
         raise InputError("--overlay, --pitch-mm and --depth-mm belong to --layout-from")

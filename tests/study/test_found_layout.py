@@ -1,5 +1,6 @@
 """`twin calibrate --layout-from`: the program's own rest pictures, found without their drawing; what is written."""
 
+import json
 import tomllib
 
 import numpy as np
@@ -95,7 +96,10 @@ def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, monkeypatch, says
     table = tomllib.loads((tmp_path / "m.toml").read_text())["markers"]["dots"]
     assert table["pitch_mm"] == pytest.approx(1.25, rel=0.01)
     assert table["depth_mm"] == 0.5
-    focal_px = float(said.split("equal with focal_px = ")[1].split()[0])
+    _, scale, written = json.loads(says(0, *made, "gelpad_press", "--json"))["rows"]
+    focal_px = scale["focal_px"]
+    assert f"equal with focal_px = {focal_px:.4g} or" in said
+    assert written["files"] == [str(tmp_path / name) for name in ("m.toml", "m.png")]
     assert f"pitch {table['pitch_mm']:g} mm by the scene's camera, drawn 1.25 mm" in said
     assert focal_px == pytest.approx(900 * table["pitch_mm"] / 1.25, rel=1e-3)
     # A lens that the recipe has 6 mm too near: where it is instead, if its focal length is measured.

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from twin.arrays import Picture, eight_bits
 from twin.errors import InputError, RecipeError
-from twin.files import make_folder, png_bytes, write_whole
+from twin.files import Fact, fact, make_folder, png_bytes, write_whole
 from twin.parts.scene import Scene
 from twin.sense.find_layout import FoundLayout, find_layout
 from twin.study.batch.pool import counted
@@ -49,9 +49,9 @@ def layout_to_files(
     pitch_mm: Sequence[float] = (),
     depth_mm: Sequence[float] = (),
     scene: Scene | None = None,
-) -> str:
+) -> list[Fact]:
     """Find the markers of a rest picture; write their tables (.toml) and an overlay (.png) unless
-    these are None; return a line for every layer, and where the files are.
+    these are None; return a fact for every layer, and where the files are.
 
     Pitches and depths are one for all layers, or one each, in the order of these lines; or the
     scene, the sensor's design, gives names, depths and the scale. `InputError` for a picture
@@ -96,11 +96,19 @@ def layout_to_files(
     for path, content in files.items():
         make_folder(path.parent)
         write_whole(path, content)
-    lines = [
-        f"{name:11s} {len(layer)} {layer.polarity} dots, {layer.columns} columns x {layer.rows} "
-        f"rows, {layer.lattice}, pitch {layer.pitch_px:.4g} px, diameter {layer.diameter_px:.3g} "
-        f"px, turned by {layer.angle_deg:.2g} deg, dots {layer.scatter_px / layer.pitch_px:.2g} of "
-        "the pitch off their places (standard deviation)"
+    facts = [
+        fact(
+            name,
+            f"{{dots}} {layer.polarity} dots, {{columns}} columns x {{rows}} rows, "
+            f"{layer.lattice}, pitch {{pitch_px:.4g}} px, diameter {{diameter_px:.3g}} px, turned "
+            "by {angle_deg:.2g} deg, dots {scatter:.2g} of the pitch off their places (standard "
+            "deviation)",
+            {
+                "dots": len(layer),
+                **{key: getattr(layer, key) for key in _IN_A_LAYER},
+                "scatter": layer.scatter_px / layer.pitch_px,
+            },
+        )
         for name, layer in found.layers.items()
     ]
     if scene is not None and scene.camera is not None:
@@ -108,20 +116,33 @@ def layout_to_files(
             wanted = scene.markers[own.name].pitch_mm
             assert own.pitch_mm is not None
             further_mm = scene.camera.focal_px * (wanted - own.pitch_mm) / layer.pitch_px
-            lines.append(
-                f"{own.name:11s} pitch {own.pitch_mm:.4g} mm by the scene's camera, drawn "
-                f"{wanted:g} mm: equal with focal_px = "
-                f"{scene.camera.focal_px * own.pitch_mm / wanted:.4g} or, if focal_px is measured, "
-                f"with the lens at pupil_mm z of about {scene.camera.pupil_mm[2] + further_mm:.4g}"
+            facts.append(
+                fact(
+                    own.name,
+                    "pitch {pitch_mm:.4g} mm by the scene's camera, drawn {drawn_mm:g} mm: equal "
+                    "with focal_px = {focal_px:.4g} or, if focal_px is measured, with the lens at "
+                    "pupil_mm z of about {pupil_z_mm:.4g}",
+                    {
+                        "pitch_mm": own.pitch_mm,
+                        "drawn_mm": wanted,
+                        "focal_px": scene.camera.focal_px * own.pitch_mm / wanted,
+                        "pupil_z_mm": scene.camera.pupil_mm[2] + further_mm,
+                    },
+                )
             )
     stray = len(found.stray_px)
     if stray:
-        lines.append(
-            f"{'other':11s} {stray} spots on no grid (dirt, glints): rings without numbers"
-        )
+        text = "{spots} spots on no grid (dirt, glints): rings without numbers"
+        facts.append(fact("other", text, {"spots": stray}))
     if files:
-        lines.append(f"written     {', '.join(map(str, files))}")
-    return "\n".join(lines)
+        names = list(map(str, files))
+        line, record = fact("written", ", ".join(names))
+        facts.append((line, {**record, "files": names}))
+    return facts
+
+
+_IN_A_LAYER = ("columns", "rows", "pitch_px", "diameter_px", "angle_deg")
+"""What is told of a layer's grid."""
 
 
 @dataclass(frozen=True, kw_only=True)
