@@ -2,6 +2,7 @@
 
 import gc
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -715,6 +716,29 @@ def test_slide_ends_like_a_shorter_one_and_like_one_in_steps():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("push", "turn"), [(1.0, (0.0, -15.0, 0.0)), (0.125, (10.0, 0.0, 0.0))])
+def test_sphere_rolls_freely_by_less_than_its_turn_as_its_contact_is_curved(push, turn):
+    """Rubber laid on a sphere is stretched along it, and the sphere's surface is the slower the closer to its axis: r^2
+    / (2 R^2) together, averaged over the contact, by the area or by Hertz's pressure. By linear theory it is 0."""
+    radius = BALL.diameter_mm / 2.0
+    steps = (
+        twin.Step(force_n=(0.0, 0.0, push)),
+        twin.Step(force_n=(0.0, 0.0, push), turn_deg=tuple(one or None for one in turn)),
+    )
+    pressed, rolled = made().press(twin.Press(probe=BALL, friction=0.5, steps=steps)).path
+    angle = np.radians(np.abs(turn).max())
+    along, across = (0, 1) if turn[1] else (1, 0)
+    went = rolled.move_mm[along] + radius * math.sin(angle)  # its middle; what moves is its lowest point at first
+    curved = (rolled.contact_radius_mm / radius) ** 2
+    assert 0.19 * curved < 1.0 - went / (radius * angle) < 0.26 * curved
+    assert rolled.move_mm[across] == pytest.approx(0.0, abs=1e-3)
+    depth = rolled.move_mm[2] + radius * (1.0 - math.cos(angle))
+    assert depth == pytest.approx(pressed.indentation_mm, rel=5e-3)
+    assert rolled.contact_radius_mm == pytest.approx(pressed.contact_radius_mm, rel=1.5e-2)
+    assert rolled.force_n == pytest.approx([0.0, 0.0, push], abs=2e-3 * push)
+
+
+@pytest.mark.slow
 def test_probe_that_is_held_after_a_slide_stays_where_it_slid_to():
     """All its points lie at the bound of friction: contact did not come to balance."""
     sensor = made(name="gelpad_slide", **{"material.youngs_modulus_mpa": 0.2})
@@ -728,7 +752,10 @@ def test_probe_that_is_held_after_a_slide_stays_where_it_slid_to():
 
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
 RUBBER = Material(law="neo_hookean")
-ROLLED = (twin.Step(force_n=(None, None, 0.5)), twin.Step(force_n=(None, None, 0.5), turn_deg=(0.0, 1.0, 0.0)))
+ROLLED = {
+    "steps": (twin.Step(force_n=(None, None, 0.5)), twin.Step(force_n=(None, None, 0.5), turn_deg=(0.0, 1.0, 0.0))),
+    "force_n": None,
+}
 GUIDED = {"steps": (twin.Step(force_n=(None, None, 0.5), torque_nmm=0.0),), "force_n": None}
 
 
@@ -843,7 +870,8 @@ def test_a_scene_of_the_lowest_poisson_ratio_is_solved_as_casting_leaves_it():
         ({"friction": 0.5, "probe": Cone(apex_deg=130, diameter_mm=3, tip_mm=0.02)}, {}, "tip_mm: a cone with"),
         ({"friction": 0.5, "probe": Cylinder(diameter_mm=3)}, {}, "while a fifth of it sticks"),
         ({"friction": STICKY, "force_n": None, "indentation_mm": 0.1}, {}, "where a force presses it"),
-        ({"friction": 0.5, "steps": ROLLED, "force_n": None}, {}, "doesn't roll"),
+        ({"friction": 0.5, "probe": Cylinder(diameter_mm=3), **ROLLED}, {}, "with friction a sphere that rolls"),
+        ({"friction": 0.5, "tilt_deg": (9.0, 0.0, 0.0), **ROLLED}, {}, "neither tilted before"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "touches with its rim, solved from 0.15"),
         ({"probe": Pillar(width_mm=0.6)}, {}, "to 0.2 .less force., or with a rim of 0.06 mm it is solved"),
         (GUIDED, {}, "torques across its direction.*guided along it"),

@@ -18,8 +18,8 @@ tilted.
 
 Validity: rigid probes, tilted or not, pressed along their ways without friction on a block, a
 finger or a dome, triangles where they are smooth, several by forces; with one coefficient of
-friction where forces press them, moved sideways and turned about their ways, flat faces while a
-part of them sticks; nu from 0.44.
+friction where forces press them, moved sideways and turned about their ways, or spheres that roll,
+flat faces while a part of them sticks; nu from 0.44.
 """
 
 from __future__ import annotations
@@ -79,7 +79,8 @@ _GROWTH = 0.8
 contact on both."""
 
 _WAY = 0.4
-"""Most that a probe with friction moves sideways in a part of a step, over its contact's radius."""
+"""Most that a probe with friction moves sideways in a part of a step, or its contact where it
+rolls, over the contact's radius."""
 
 _LEAST_RIM, _COARSE_RIM = 0.1, 0.2
 """Least radius of a flat face's rim over its half width, and on the coarser mesh. On rubber thicker
@@ -447,8 +448,9 @@ class BodyStrain(FiniteStrain):
                 ends = zip(*map(_probes, self._path[number - 1 : number + 1]), strict=True)
                 for axes, (before, after) in zip(self.axes, ends, strict=True):
                     aside = axes[:Z] @ (after.move_mm - before.move_mm)
-                    way = float(np.linalg.norm(aside)) / after.contact_radius_mm
-                    parts = max(parts, math.ceil(way / _WAY))
+                    rolled = _place(after)[0] - _place(before)[0]
+                    way = float(max(np.linalg.norm(aside), np.linalg.norm(rolled)))
+                    parts = max(parts, math.ceil(way / after.contact_radius_mm / _WAY))
             try:
                 linear, finite = self._one_step(contact, number, parts, linear, finite)
             except NotSettled:
@@ -668,10 +670,12 @@ def _unsolved(press: Press, body: Body, material: Material) -> str:
                 )
             if not held[:, Z].all():
                 return "press: a probe with friction is solved where a force presses it"
-            if turned[ABOUT_X:TURN].any():
+            if turned[ABOUT_X:TURN].any() and (
+                not isinstance(one.probe, Sphere) or turned[TURN] or any(one.tilt_deg)
+            ):
                 return (
-                    "press.steps turn the probe about x or y: one with friction that doesn't roll, "
-                    "but slides or turns about its way, is solved"
+                    "press.steps turn the probe about x or y: with friction a sphere that rolls is "
+                    "solved, neither tilted before nor turned about its way"
                 )
         elif held[:, np.arange(MOTIONS) != Z].any():
             what = "press.steps give forces or torques"

@@ -47,6 +47,7 @@ from twin.world.contact.mixed_rubber import MixedRubber
 from twin.world.contact.probe_gap import (
     ABOUT_X,
     MOTIONS,
+    TURN,
     Approach,
     Z,
     half_extent,
@@ -93,8 +94,8 @@ _MIXED_STEPS = 10
 """Most of Newton's steps by the stiffness at rest."""
 
 _FEW_BALANCES, _MOST_BALANCES, _BALANCED, _FULL_STEPS = 12, 100, 1e-6, 15
-"""Most iterations of a balance of contact at finite strain without friction, and of others, the
-relative step at which they end, and after how many steps are shortened."""
+"""Most iterations of a balance of contact at finite strain by the stiffness at rest, and of others,
+the relative step at which they end, and after how many steps are shortened."""
 
 _STRAINED = 0.03
 """Elements with no larger change of F, or pressure over the shear modulus, have the tangent of
@@ -330,14 +331,16 @@ class SurfaceTouch:
 
     def rest_gap(self, pose: Floats, slid_mm: Floats | None = None) -> tuple[Floats, Floats]:
         """Return the undeformed surface's gaps (q,) in the linear solution, and slopes (q, 6); with
-        friction it moves sideways with the probe."""
+        friction it moves sideways with the probe, and a round one rolls over it."""
         if not self._rubs:
             return self._approach.gap(self.rest_mm, self.inward, pose)
-        lowered = np.where(np.arange(MOTIONS) == Z, pose, 0.0)
+        motions = np.arange(MOTIONS)
+        comes = (motions == Z) | (self._approach.is_round & (motions >= ABOUT_X) & (motions < TURN))
+        lowered = np.where(comes, pose, 0.0)
         if slid_mm is not None:
             lowered[:Z] = slid_mm
         gap, slope = self._approach.gap(self.rest_mm, self.inward, lowered)
-        slope = np.where(np.arange(MOTIONS) == Z, slope, -self._along)
+        slope = np.where(comes, slope, -self._along)
         return gap - self._along @ (pose - lowered), slope
 
     def anchored_gap(self, pose: Floats, slid_mm: Floats) -> tuple[Floats, Floats]:
@@ -670,7 +673,7 @@ class RubberContact:
         force = np.zeros(len(loose))
         force[free] = stiffness.schur @ (moved - loose)[free]
         trust, last, settled = 0.0, math.inf, False
-        few = not linear and not self._rubs
+        few = not linear and not self._rubs and stiffness is self.rubber.rest_stiffness
         for taken in range(_FEW_BALANCES if few else _MOST_BALANCES):
             if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
                 on = state.anchors.on & (state.pressure > 0.0)
