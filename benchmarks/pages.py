@@ -621,7 +621,7 @@ def _beside(record: Row) -> Row:
     from twin.study.reproduce.design_limits import CAMERA, DEFAULT, PAPERS
 
     def value(number: float | None) -> str:
-        return "" if number is None else f"{number:.3g}"
+        return "" if number is None else f"{number:.3g}" if abs(number) < 1e3 else f"{number:.0f}"
 
     others = {cause["cause"]: cause["value"] for cause in record["explained_by"]}
     spread = f" ± {record['spread']:.2g}" if record["spread"] else ""

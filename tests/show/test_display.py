@@ -100,8 +100,11 @@ def test_a_run_is_drawn_in_three_panels_of_one_scale() -> None:
     scales = [panel.collections[0].get_clim() for panel in (recovered, true)]
     assert scales == [(-2.0, 2.0), (-2.0, 2.0)]
     assert recovered.get_title() == "recovered forces"
-    page = Panel.svg([Panel.field("least norm", run_result().estimate, 1.0)])
+    panel = Panel.field("least norm", run_result().estimate, 1.0)
+    page = Panel.svg([panel])
     assert page.count(b">least norm<") == 1, "titles lay over one another"
+    wide = re.compile(rb'<svg[^>]* width="([^"]+)"')
+    assert wide.search(Panel.svg([panel, panel]))[1] == wide.search(page)[1], "on a phone words were 4 px high"
     assert len(run_result(forces=False).plot()) == 2
     with pytest.raises(twin.TwinError, match="neither marker motion nor forces"):
         RunResult(scene_toml="").plot()

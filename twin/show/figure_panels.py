@@ -13,9 +13,6 @@ import numpy as np
 from twin.arrays import Floats, Picture, Pixels, Points
 from twin.display import plot_forces, plot_shifts
 
-_COLUMNS = 2
-"""Panels in a row."""
-
 
 class _Shifts(Protocol):
     """Tracked markers, such as `twin.sense.track.Found`."""
@@ -136,18 +133,16 @@ class Panel:
 
     @staticmethod
     def svg(panels: Sequence[Panel]) -> bytes:
-        """Return an SVG file of panels, for light and dark screens; equal panels give equal
-        bytes."""
+        """Return an SVG file of panels, one below the other so that a phone shows their words, for
+        light and dark screens; equal panels give equal bytes."""
         import matplotlib
         from matplotlib.figure import Figure
 
-        columns = min(len(panels), _COLUMNS)
-        rows = -(-len(panels) // _COLUMNS)
         file = io.BytesIO()
         with matplotlib.rc_context(_STYLE):
-            figure = Figure(figsize=(6.4 * columns, 4.6 * rows), layout="constrained")
+            figure = Figure(figsize=(6.4, 4.0 * len(panels)), layout="constrained")
             for number, panel in enumerate(panels, start=1):
-                axes = figure.add_subplot(rows, columns, number)
+                axes = figure.add_subplot(len(panels), 1, number)
                 panel.draw(axes)
                 axes.set_title("")  # of drawings that have one of their own
                 axes.set_title("\n".join(textwrap.wrap(panel.title, 56)), loc="left")
