@@ -71,6 +71,17 @@ def test_a_layout_may_be_off_by_rows_where_its_border_shows(pitches, holes):
     assert_allclose(found.rest_px, joined(layout) + shift, atol=0.1)
 
 
+def test_corners_of_a_drawing_without_the_pictures_perspective_are_found():
+    """They lie .6 of the spacing off the affine map that fits best: two were missing."""
+    grid = flat_layout(13, 10, 1.0, (-6.0, -4.5))["red"]
+    near = 1.0 + grid @ [0.004, 0.011]
+    off = (grid * [27.0, 25.0] + grid[:, ::-1] * [1.5, -1.0]) / near[:, None] + [200.0, 150.0]
+    layout = {"red": grid * 26.0 + [200.0, 150.0]}
+    found = track(*(picture(off - joined(layout), seed, layout, (400, 300)) for seed in (1, 2)), layout)
+    assert found.seen.all()
+    assert_allclose(found.rest_px, off, atol=0.1)
+
+
 @pytest.mark.parametrize("diagonals", [(0.5, 0.5), (-0.5, 0.5), (0.5, -0.45)])
 def test_layers_between_each_other_are_not_exchanged_where_the_drawing_is_off_by_half_a_diagonal(diagonals):
     """Each layer was taken for the other one: colours were given to layers before their places were known."""

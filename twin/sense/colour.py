@@ -44,6 +44,9 @@ ABSENT = 0.5
 """Share of a layer's markers that a colour of its own shows less than another layer's does, above
 which it is a reflection's or the ground's, and no layer's."""
 
+STRAY = 0.005
+"""Colours of a smaller share of the markers' pixels are no layer's, but hot pixels', or dust's."""
+
 UNSPLIT_COSINE = 0.97
 """Two marker colours closer than this in direction can't be split; their layers then share one
 signal."""
@@ -641,9 +644,10 @@ def _contrasts(
     every = max(1, part.size // 300_000)
     pixels = part.reshape(-1, 3)[::every].astype(float)
     away = pixels - np.median(pixels, axis=0)
-    level = pixels - _shading(part, 2.0 * spacing_px).reshape(-1, 3)[::every]
-    if _spread(level) < SHADED * _spread(away):
-        away = level
+    for squares in (2.0, 1.0):  # the smaller, the steeper shading they follow
+        level = pixels - _shading(part, squares * spacing_px).reshape(-1, 3)[::every]
+        if _spread(level) < SHADED * _spread(away):
+            away = level
     if polarity is not None:
         away = away[(away.sum(axis=1) > 0) == (polarity == "bright")]
     return np.asarray(away)
@@ -721,6 +725,22 @@ def _directions(samples: Floats, count: int) -> Floats | None:
     if count == 1:
         return None
     unit = samples / np.linalg.norm(samples, axis=1, keepdims=True)
+    while True:
+        directions, nearest = _clusters(unit, count)
+        number = np.bincount(nearest, minlength=count)
+        few = (number > 0) & (number < STRAY * len(unit))
+        if not few.any():
+            break
+        unit = unit[~few[nearest]]
+    if not number.all():
+        return None
+    likeness = directions @ directions.T - 2.0 * np.eye(count)
+    return None if likeness.max() > UNSPLIT_COSINE else directions
+
+
+def _clusters(unit: Floats, count: int) -> tuple[Floats, Ints]:
+    """Return ``count`` directions about which ``unit`` vectors (n, 3) lie, and (n,) the nearest of
+    these to each; some have none where there are fewer."""
     centres = [unit[np.argmin(unit @ _unit(unit.mean(axis=0)))]]
     while len(centres) < count:
         centres.append(unit[np.argmin(np.max(unit @ np.array(centres).T, axis=1))])
@@ -728,10 +748,9 @@ def _directions(samples: Floats, count: int) -> Floats | None:
     for _ in range(20):
         nearest = np.argmax(unit @ directions.T, axis=1)
         if len(np.unique(nearest)) < count:
-            return None
+            break
         directions = np.array([_unit(unit[nearest == i].mean(axis=0)) for i in range(count)])
-    likeness = directions @ directions.T - 2.0 * np.eye(count)
-    return None if likeness.max() > UNSPLIT_COSINE else directions
+    return directions, nearest
 
 
 def _unit(vector: Floats) -> Floats:

@@ -116,6 +116,11 @@ disc's to .75 px at least (fitted, with noise; by a box .76). Drawn dots without
 sharp squares or crosses, end at the fit's limit of .7 px. Edges with a larger third harmonic are
 such dots' up to the last one; lenses leave 1.2 px and more."""
 
+SHARPEST_EDGE_PX = 1.0
+"""Width of an edge (`OwnPictures.edge_px`) below which it is such dots': pixels that gather light
+over their area leave .6 to .7 px (clean, JPEG 75, pale), with a blur of .3, .5 and .7 px .8, 1.1 to
+1.2 and 1.4 to 1.7 px."""
+
 LEAST_EDGE = 0.5
 """Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
 
@@ -244,8 +249,7 @@ class DiscFit(SoftWindow):
                 rival = cls._by(picture, spot, replace(signal, own=signal.brightness), marks)
                 if rival.roughness_px < SMOOTHER * group.roughness_px:
                     group = replace(rival, templates=replace(rival.templates, coherent=True))
-            blur = medians(group.templates.shape[:, BLUR])
-            if not blur > (SHARP_PX if group.roughness_px > ROUGH_SHARP_PX else SHARPEST_PX):
+            if group._is_sharp:
                 groups.append(spot.of_sharp(picture))
                 continue
             bare = BareGround.of(picture, group.templates, group.around.rest_px, marks)
@@ -256,6 +260,14 @@ class DiscFit(SoftWindow):
     def roughness_px(self) -> float:
         third = np.abs(self.templates.third)
         return float(np.nanmedian(third)) if np.isfinite(third).any() else np.inf
+
+    @property
+    def _is_sharp(self) -> bool:
+        """Whether edges at rest are sharper than light leaves them on pixels."""
+        if self.pictures:  # the blur of an ellipse is not that of another outline
+            return self.pictures.edge_px(self.templates) < SHARPEST_EDGE_PX
+        blur = medians(self.templates.shape[:, BLUR])
+        return not blur > (SHARP_PX if self.roughness_px > ROUGH_SHARP_PX else SHARPEST_PX)
 
     @classmethod
     def _by(

@@ -525,7 +525,10 @@ class Neighbourhood:
             if (pair >= 0).sum() >= 4:
                 alike = np.linalg.norm(expected[:, None] - seen[None], axis=2) < 0.6 * size
                 start = np.where((pair >= 0)[:, None], seen[pair] - expected, np.nan)
-                pair, _ = Neighbourhood.of(expected, size).follow(seen, alike, start)
+                around = Neighbourhood.of(expected, size)
+                pair, _ = around.follow(seen, alike, start)
+                # in perspective, corners lie farther off the affine map than neighbours lead to
+                pair = around.complete(seen, pair, ~np.isin(np.arange(len(seen)), pair))
             found.append(pair)
         return found, odd
 
