@@ -658,7 +658,7 @@ with its blur, which in truth stays. Measured: .03 to .09 px (outlines by hand, 
 STRETCH = [1, 2, 4, 5]
 """Those of an own picture's numbers that are its stretch."""
 
-UNLIKE_STRETCH, KNOWN_STRETCH, HIDDEN_PX = 2.0, 0.005, 0.1
+UNLIKE_STRETCH, KNOWN_STRETCH, HIDDEN_PX = 3.0, 0.005, 0.1
 """Standard deviations from the neighbours' beyond which a stretch is not theirs: of whole markers
 up to 1.2 (squares, triangles), of one in a hundred outlines by hand 4, where 5 % of the area is
 hidden 1.6 to 8, with 14 % from 11 on. Least of these deviations. What is hidden of a radius, at
@@ -831,6 +831,7 @@ class OwnPictures:
         fine = np.zeros(len(fitted), np.bool_)
         fine[rows] = found & good & (fits > FITS * np.median(fits))
         usual, spread = around.usual(stretched, fine, rows)
+        spread = np.fmax(spread, medians(spread))  # few neighbours may lie close by chance
         by_noise = noise * np.fmax(misfit, 1.0)[:, None] * inverse[:, STRETCH, STRETCH]
         chance = UNLIKE_STRETCH**2 * (by_noise + spread**2 + KNOWN_STRETCH**2)
         beyond = np.fmax((stretched[rows] - usual) ** 2 - chance, 0.0)
