@@ -100,9 +100,9 @@ def test_edges_have_their_share_in_the_error(probe, tilt):
         pressed(Press(probe=probe, tilt_deg=tilt, indentation_mm=0.15), across=n, on=HalfSpace(0.5)) for n in (7, 32)
     )
     off = abs(coarse.force_n[2] / fine.force_n[2] - 1.0)
-    assert off <= coarse.error.force < 5.0 * off
+    assert off <= coarse.error.force < max(5.0 * off, 0.0015)  # an upright square's is right to 0.03 %
     off = traction_change(coarse.load, fine.load)
-    assert off <= coarse.error.traction < 5.0 * off
+    assert off <= coarse.error.traction < max(5.0 * off, 0.7)  # without bound at a sharp rim
 
 
 @pytest.mark.parametrize("across", [8, 9, 12])
@@ -178,11 +178,11 @@ def cells(*ends):
 
 
 def inclined_force(tilt_deg, depth):
-    """Return the force, N, on a pillar of 4 mm, inclined, side wall included, on 60 by 14 rectangles."""
+    """Return the force, N, on a pillar of 4 mm, inclined, side wall included, on 60 by 28 rectangles."""
     slope = np.tan(np.radians(tilt_deg))
     low, high = -1.2 * depth * slope, min(depth / slope, 4.0 * np.cos(np.radians(tilt_deg)))
     along = np.concatenate([np.linspace(low, 0.0, 5), high * np.linspace(0.0, 1.0, 56)[1:] ** 1.5])
-    across = -2.0 * np.cos(np.pi * np.linspace(0.0, 1.0, 15))
+    across = -2.0 * np.cos(np.pi * np.linspace(0.0, 1.0, 29))  # on 14 it is 0.2 % too small
     x, y, a, b = cells(along, across)
     wanted, sunk = depth - np.where(x > 0.0, x * slope, -x / slope), under_rectangles(x, y, a, b)
     return float(4.0 * a * b @ settled(sunk, wanted))

@@ -35,14 +35,16 @@ def _contact_area(
     setup: ProbeSetup, patches: Patches, equilibrium: Equilibrium, friction: float
 ) -> float:
     """Return the area of the contact, mm2: under a sphere or a cone within the outline that the
-    pressures give, else the sum of the patches, which is 1 to 4 % off."""
+    pressures give, else the sum of the patches, which is 1 to 4 % off, at most the flat face."""
     nu = setup.poisson_ratio
     cone = isinstance(setup.probe, Cone)
     rows = np.flatnonzero(equilibrium.active)
     area = patches.area_mm2[rows]
     counted = float(area.sum())
     if not (cone or isinstance(setup.probe, Sphere)):
-        return counted
+        flat = 4.0 * float(np.prod(patches.cell_mm[rows], axis=1).sum())
+        whole = math.inf if setup.face is None else setup.face.area_mm2
+        return counted * min(1.0, whole / flat)  # cells end beyond a sharp rim
     bent = cone or (friction > 0.0 and 1.0 - 2.0 * nu > _COUPLED * 2.0 * (1.0 - nu))
     place, flat = patches.middle_mm[rows], 4.0 * np.prod(patches.cell_mm[rows], axis=1)
     outline = patches.outline(place, flat, equilibrium.force_n[rows, 2] / area, bent=bent)

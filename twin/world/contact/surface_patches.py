@@ -12,7 +12,7 @@ that is known about (`Footprint.pressed`).
 
 A cell touches wholly or not at all. Sharp edges of the probe along the grid cut a whole row alike,
 and forces jump by per cents from grid to grid. So cells end a little beyond such edges
-(`Box.with_edges`, `Box.aligned`).
+(`Box.with_edges`, `Box.aligned`), and so do graded cells beyond the sharp rim of a flat face.
 """
 
 from __future__ import annotations
@@ -45,6 +45,12 @@ _ALONG = 0.08
 _STRAIGHT, _SPREAD = 0.05, 0.3
 """Share of the raster's rows that an edge along the grid crosses at least; how far it may lie apart
 from row to row, and in all, in steps of the raster."""
+
+_BEYOND_RIM = 0.2
+"""How far graded cells end beyond a sharp rim, over the width of the last. Without that flat faces
+act as smaller ones: at 8, 12 and 20 cells across forces at a given depth were 1.3, 0.6 and 0.24 %
+too small under a square, 1.6, 0.8 and 0.36 % under a disc, whose rows end in steps. They are 0.03 %
+at most and 0.5, 0.36 and 0.21 % so; alike sideways, and on layers."""
 
 _FINEST, _WIDEST, _STEPS = 0.8, 1.1, 601
 """Widths of cells that are tried, over the width asked for, and how many."""
@@ -96,6 +102,11 @@ class Footprint:
     half_mm: tuple[float, float]
     is_round: bool
     edge_mm: float = 0.0
+
+    @property
+    def area_mm2(self) -> float:
+        """The area within the outline."""
+        return (math.pi if self.is_round else 4.0) * math.prod(self.half_mm)
 
     def pressed(self, force_mm2: float) -> Footprint | None:
         """Return the outline of the part of a face with a rounded rim that touches, and a little
@@ -351,28 +362,43 @@ def _even_cells(face: Footprint | None, box: Box, across: tuple[int, int]) -> tu
     return middle, np.tile([half_u, half_v], (len(middle), 1))
 
 
-def _cells(face: Footprint | None, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Return (n, 2) middles and (n, 2) half sizes of the grid's cells."""
+def _cells(
+    face: Footprint | None, box: Box, across: tuple[int, int], beyond: float
+) -> tuple[Floats, Floats]:
+    """Return (n, 2) middles and (n, 2) half sizes of the grid's cells; graded ones end ``beyond`` a
+    face's rim by so much of the last one's width."""
     if face is None or box.is_even(face, across):
         return _even_cells(face, box, across)
     a, b = face.half_mm
     near = 1e-6 * max(a, b)
-    rows = _cell_edges(box.v0, box.v1, across[1], graded=(box.v0 <= near - b, box.v1 >= b - near))
+    graded = (box.v0 <= near - b, box.v1 >= b - near)
+    rows = _cell_edges(box.v0, box.v1, across[1], graded=graded)
     middles = []
     halves = []
-    for v0, v1 in pairwise(rows):
-        chord = _half_chord(face, float(v0), float(v1))
+    for ends, (v0, v1) in zip(pairwise(rows), pairwise(_ending(rows, graded, beyond)), strict=True):
+        chord = _half_chord(face, *map(float, ends))
         u0 = max(box.u0, -chord)
         u1 = min(box.u1, chord)
         if u1 <= u0:
             continue
         count = max(3, round(across[0] * math.sqrt((u1 - u0) / box.size[0])))
-        columns = _cell_edges(u0, u1, count, graded=(u0 <= near - chord, u1 >= chord - near))
+        at_rim = (u0 <= near - chord, u1 >= chord - near)
+        columns = _ending(_cell_edges(u0, u1, count, graded=at_rim), at_rim, beyond)
         middles.append(
             np.column_stack([(columns[:-1] + columns[1:]) / 2, np.full(count, (v0 + v1) / 2)])
         )
         halves.append(np.column_stack([np.diff(columns) / 2, np.full(count, (v1 - v0) / 2)]))
     return np.concatenate(middles), np.concatenate(halves)
+
+
+def _ending(borders: Floats, graded: tuple[bool, bool], beyond: float) -> Floats:
+    """Return borders of cells whose graded ends lie ``beyond`` by so much of the last one's
+    width."""
+    widths = np.diff(borders)
+    moved = borders.copy()
+    moved[0] -= graded[0] * beyond * widths[0]
+    moved[-1] += graded[1] * beyond * widths[-1]
+    return moved
 
 
 _STEEP = 0.15
@@ -539,15 +565,20 @@ class Patches:
         Patches on the sensing surface. Cells beyond the body are left out, and their neighbours
         marked as ``edge``.
         """
-        middle, cell = _cells(face, box, across)
+        sharp = face is not None and face.edge_mm == 0.0 and box.face is None
+        # A rim that lies on the surface's own edge leaves no room beyond it.
+        for beyond in (_BEYOND_RIM, 0.0) if sharp else (0.0,):
+            middle, cell = _cells(face, box, across, beyond)
+            if plane.is_level(body, box):
+                points = plane.origin_mm + middle @ plane.axes[:2]
+                frames = np.tile(plane.axes, (len(cell), 1, 1))
+                half = cell
+                off = np.zeros(len(cell), bool)
+            else:
+                points, frames, half, off = _on_body(body, plane, middle, cell)
+            if not off.any():
+                break
         outside, outer = _bordering(middle, cell, box, face)
-        if plane.is_level(body, box):
-            points = plane.origin_mm + middle @ plane.axes[:2]
-            frames = np.tile(plane.axes, (len(cell), 1, 1))
-            half = cell
-            off = np.zeros(len(cell), bool)
-        else:
-            points, frames, half, off = _on_body(body, plane, middle, cell)
         kept = ~(off | outside)
         edge = _touching(middle, cell, off) if off.any() else off
         return cls(
