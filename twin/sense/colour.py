@@ -644,10 +644,9 @@ def _contrasts(
     every = max(1, part.size // 300_000)
     pixels = part.reshape(-1, 3)[::every].astype(float)
     away = pixels - np.median(pixels, axis=0)
-    for squares in (2.0, 1.0):  # the smaller, the steeper shading they follow
-        level = pixels - _shading(part, squares * spacing_px).reshape(-1, 3)[::every]
-        if _spread(level) < SHADED * _spread(away):
-            away = level
+    level = pixels - _shading(part, 2.0 * spacing_px).reshape(-1, 3)[::every]
+    if _spread(level) < SHADED * _spread(away):
+        away = level
     if polarity is not None:
         away = away[(away.sum(axis=1) > 0) == (polarity == "bright")]
     return np.asarray(away)
