@@ -149,6 +149,11 @@ RESHAPES = 1.25
 """A marker has an outline and blur of its own if what that fit leaves exceeds the usual by less. Of
 markers 10 px wide of which a fiftieth is hidden one in 40 leaves less, with more hidden none."""
 
+MOVED = 4.0
+"""Standard deviations by which a shape of its own moves a marker's centre by chance. Of 811 strained
+markers that it moved by less none was moved wrongly; of 7 that were mostly hidden by another layer
+the error was .6 to 1.2 times what it moved them, up to 41 standard deviations."""
+
 SHARPER = 0.7
 """Least share of the blur at rest that a shape of its own has where the rest picture is compressed.
 """
@@ -484,6 +489,10 @@ class DiscFit(SoftWindow):
         if templates.coherent:  # errors at rest show less by a sharper outline than they are
             taken &= shape[:, BLUR] > SHARPER * known[:, BLUR]
         area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, known))
+        # A shape is even about the centre: where it moves this, what is in sight is no whole marker
+        moved = ((again[:, CENTRE] - fitted[:, CENTRE]) ** 2).sum(axis=1)
+        chance = MOVED**2 * (templates.centre_sds(again) ** 2 + templates.centre_sds(fitted) ** 2)
+        again[:, VARIANCE] += 0.5 * np.fmax(moved - chance, 0.0)[:, None]
         fitted[taken] = again[taken]
         fitted[taken, SCALE] *= np.sqrt(area / before)[taken]
         fitted[taken, RESHAPED] = OWN_SHAPE
