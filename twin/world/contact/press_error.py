@@ -56,15 +56,19 @@ _MOST_RESPONDING = 600
 """Patches in contact from which on its response is computed on fewer, and what they cut isn't: the
 time grows with their cube."""
 
-_ORDER, _ORDER_SHARP, _ORDER_BELOW, _ORDER_RIM, _ORDER_ROUNDED = 1.8, 1.3, 1.55, 1.6, 2.1
+_ORDER, _ORDER_SHARP, _ORDER_RIM, _ORDER_ROUNDED = 1.8, 1.3, 1.6, 2.1
 _ALIKE = 1.3
 """Order of the error in the width of patches: of smooth contacts, under flat faces with sharp rims,
-of markers below upright ones, under rounded rims, and where patches are graded up to a place on
-these; and the least ratio of widths that counts. Error over the change with twice the width, of
-sharp cylinders 8 to 20 across on layers 0.3 to 3 radii thick against axisymmetric NGSolve: 0.46 to
-0.57 (1.3 is 0.68), over that with 4/3 of it 1.6 to 2.2 (2.2); markers of two scenes 0.53 to 0.58,
-of which 0.52 are stated. At 8 to 16 against 40: 0.6 inclined by 2 to 4 degrees, 0.07 to 0.28 on
-round rounded rims; less elsewhere."""
+under rounded rims, and where patches are graded up to a place on these; and the least ratio of
+widths that counts. At 8 to 16 against 40 error over the change with twice the width: 0.6 inclined
+by 2 to 4 degrees (1.3 is 0.68), 0.07 to 0.28 on round rounded rims; less elsewhere."""
+
+_ORDER_BELOW, _ORDER_BELOW_SQUARE = 1.55, 1.9
+"""Order of the error of markers below upright faces with sharp rims; and where none is round and
+other patches are twice as wide. Error over the change with twice the width, at 12 to 24 across
+against 36, on a half-space and layers 0.5 to 1.3 widths thick: 0.14 to 0.61 below discs, whose rows
+end in steps (0.52 is stated, and `_CUT_SHARP`), 0.14 to 0.34 below squares and oblongs (0.37). With
+4/3 of it up to 1.77 below these (1.78)."""
 
 _CUT = 0.38
 """Error of a smooth probe's force at a given depth, times the square of the patches across, on
@@ -288,7 +292,8 @@ class Estimates:
         if any(one.face is not None for one in self._job.setups):
             order = below = _ORDER_SHARP
             if not any(one.has_inclined_face for one in self._job.setups):
-                below = _ORDER_BELOW
+                is_round = any(one.face and one.face.is_round for one in self._job.setups)
+                below = _ORDER_BELOW if is_round or ratio < 2.0 else _ORDER_BELOW_SQUARE
                 if all(one.is_rounded for one in borders if one.touches):
                     order = below = _ORDER_RIM
             if all(one.is_graded and one.is_rounded for one in borders if one.touches):
