@@ -716,12 +716,10 @@ def _sd_by_place(linear: _Linear) -> Floats:
         calibration.misplaced_px(int(site), narrow[site]) / 2
         for site in np.flatnonzero(size > NARROW * size.max())
     ]
-    data = [problem.whiten(shift) for each in shifts for shift in each if shift.any()]
-    if not data:
-        return np.zeros_like(linear.force_n)
-    every = np.eye(linear.force_n.size)
-    taken = problem.factors.sums(every, np.stack(data), linear.weight)
-    return np.asarray(np.sqrt((taken**2).sum(axis=0)).reshape(-1, 3))
+    variance = np.zeros_like(linear.force_n)
+    for shift in (one for each in shifts for one in each if one.any()):
+        variance += problem.factors.forces(problem.whiten(shift), linear.weight) ** 2
+    return np.asarray(np.sqrt(variance))
 
 
 LEAST_PX = 0.5
