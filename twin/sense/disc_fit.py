@@ -152,7 +152,8 @@ markers 10 px wide of which a fiftieth is hidden one in 40 leaves less, with mor
 MOVED = 4.0
 """Standard deviations by which a shape of its own moves a marker's centre by chance. Of 818 markers
 7 were moved by more, most of them hidden by another layer but for a rim: errors were .6 to 1.2
-times as large, up to 41 standard deviations."""
+times as large, up to 41 standard deviations. Without noise strain alone moves whole ones by more,
+so a single layer's don't count."""
 
 SHARPER = 0.7
 """Least share of the blur at rest that a shape of its own has where the rest picture is compressed.
@@ -489,10 +490,12 @@ class DiscFit(SoftWindow):
         if templates.coherent:  # errors at rest show less by a sharper outline than they are
             taken &= shape[:, BLUR] > SHARPER * known[:, BLUR]
         area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, known))
-        # A shape is even about the centre: where it moves this, what is in sight is no whole marker
-        moved = ((again[:, CENTRE] - fitted[:, CENTRE]) ** 2).sum(axis=1)
-        chance = MOVED**2 * (templates.centre_sds(again) ** 2 + templates.centre_sds(fitted) ** 2)
-        again[:, VARIANCE] += 0.5 * np.fmax(moved - chance, 0.0)[:, None]
+        if len(templates.others):
+            # A shape is even about the centre. Where it moves this, another layer leaves a rim.
+            moved = ((again[:, CENTRE] - fitted[:, CENTRE]) ** 2).sum(axis=1)
+            sds = templates.centre_sds(again), templates.centre_sds(fitted)
+            chance = MOVED**2 * np.square(sds).sum(axis=0)
+            again[:, VARIANCE] += 0.5 * np.fmax(moved - chance, 0.0)[:, None]
         fitted[taken] = again[taken]
         fitted[taken, SCALE] *= np.sqrt(area / before)[taken]
         fitted[taken, RESHAPED] = OWN_SHAPE
