@@ -500,9 +500,8 @@ class Neighbourhood:
     @staticmethod
     def match_layout(
         nominal: list[Pixels], spots: list[Pixels], spacing_px: float, size_px: tuple[int, int]
-    ) -> tuple[list[Ints], int]:
-        """Return which spot of the rest picture every marker of a drawing is, -1 where none is;
-        and how many markers have no spot, or are spots without a marker.
+    ) -> list[Ints]:
+        """Return which spot of the rest picture every marker of a drawing is, -1 where none is.
 
         The drawing is mapped onto the picture by one affine map; then its local misfit is taken
         off.
@@ -518,7 +517,7 @@ class Neighbourhood:
             Height and width of the picture.
         """
         found = []
-        expected_px, odd = _onto_picture(nominal, spots, spacing_px, size_px)
+        expected_px, _ = _onto_picture(nominal, spots, spacing_px, size_px)
         for expected, seen in zip(expected_px, spots, strict=True):
             size = spacing(expected)
             pair = _mutual_nearest(expected, seen, 0.4 * size)
@@ -530,7 +529,15 @@ class Neighbourhood:
                 # in perspective, corners lie farther off the affine map than neighbours lead to
                 pair = around.complete(seen, pair, ~np.isin(np.arange(len(seen)), pair))
             found.append(pair)
-        return found, odd
+        return found
+
+    @staticmethod
+    def odd_spots(
+        nominal: list[Pixels], spots: list[Pixels], spacing_px: float, size_px: tuple[int, int]
+    ) -> int:
+        """Return how many markers of a drawing have no spot, or are spots without a marker, once it
+        is mapped onto the picture as by `match_layout`."""
+        return _onto_picture(nominal, spots, spacing_px, size_px)[1]
 
 
 @dataclass(frozen=True, kw_only=True)

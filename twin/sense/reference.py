@@ -197,9 +197,12 @@ def _fewest_odd(
     more, layers that lie between each other are taken for one another, up to their borders.
     """
     best = weights, looks
+    if not len(looks) == len(drawn) > 1:
+        return best  # one layer, or layers of one colour: nothing to exchange
     least = _odd_spots(looks, spacing_px)
-    orders = permutations(weights.values()) if len(looks) == len(drawn) > 1 else iter(())
-    for order in orders if least >= LEAST_ODD else ():
+    if least < LEAST_ODD:
+        return best  # nearly always
+    for order in permutations(weights.values()):
         tried = dict(zip(drawn, order, strict=True))
         seen = _looks(picture, drawn, tried, diameter_px)
         odd = _odd_spots(seen, spacing_px)
@@ -212,7 +215,7 @@ def _odd_spots(looks: list[Look], spacing_px: float) -> int:
     """Return how many markers have no spot, or are spots without a marker."""
     spots = [look.blobs.centre_px[look.blobs.whole] for look in looks]
     drawn = [look.nominal_px for look in looks]
-    return Neighbourhood.match_layout(drawn, spots, spacing_px, looks[0].picture_px)[1]
+    return Neighbourhood.odd_spots(drawn, spots, spacing_px, looks[0].picture_px)
 
 
 def _first_look(

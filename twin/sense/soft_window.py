@@ -108,7 +108,7 @@ class SoftWindow(CentreEstimator):
     ) -> Sequence[SoftWindow]:
         spots = [look.blobs.centre_px[look.blobs.whole] for look in looks]
         drawn = [look.nominal_px for look in looks]
-        pairs, _ = Neighbourhood.match_layout(drawn, spots, spacing_px, looks[0].picture_px)
+        pairs = Neighbourhood.match_layout(drawn, spots, spacing_px, looks[0].picture_px)
         return [cls._matched(look, pair) for look, pair in zip(looks, pairs, strict=True)]
 
     @classmethod
