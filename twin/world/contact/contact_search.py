@@ -35,22 +35,28 @@ _LONG_OVERLAP, _ASKEW_OVERLAP = 1.2, math.sin(math.radians(0.1))
 """Length over width from which a contact has a direction, and how far from an axis of the grid it
 may point; the same of an overlap, known better."""
 
+_LINE, _OF_LINE = 10.0, 0.02
+"""Length over width from which on an overlap is a line, which cells may miss; and how far its ends
+may lie aside, over its width."""
+
 _ON_EVERY_SIDE = 0.15
 """Margin around a contact, over its size."""
 
 
-def _turn_along(patches: Patches, weight: Floats, long: float, askew: float) -> Floats | None:
+def _turn_along(
+    middle: Floats, weight: Floats, long: float, askew: float, cell: Floats | None = None
+) -> Floats | None:
     """Return the turn (3, 3) about the plane's normal that takes the grid's axes along and across a
-    long contact, in which cells have weights (k,); None where they are no more ``askew``, or the
-    contact is no more ``long``."""
-    middle = patches.middle_mm
-    cell = patches.cell_mm
+    long contact, in which places (k, 2), the middles of cells of half sizes (k, 2), have weights
+    (k,); None where they are no more ``askew``, or the contact is no more ``long``."""
     away = middle - weight @ middle / weight.sum()
-    spread = (weight * away.T) @ away / weight.sum() + np.diag(weight @ cell**2) / (
-        3.0 * weight.sum()
-    )
+    spread = (weight * away.T) @ away / weight.sum()
+    if cell is not None:
+        spread += np.diag(weight @ cell**2) / (3.0 * weight.sum())
     (narrow, wide), directions = np.linalg.eigh(spread)
     u, v = directions[:, 1]
+    if cell is not None:
+        askew = min(askew, _OF_LINE * math.sqrt(narrow / wide))
     if wide < long**2 * narrow or min(abs(u), abs(v)) < askew:
         return None
     along = (
@@ -442,7 +448,10 @@ def find_contact(
             points, normals, on_body = plane.projected(setup.body, places)
             return np.where(on_body, setup.first.gap(points, normals, at)[0], np.nan)
 
-        contact = contact.with_edges(gap_at)
+        # coarse cells end up to one within an edge, or beyond it
+        counts = _counts(_COARSE, contact, contact, _COARSE_MOST)
+        u, v = (size / count for size, count in zip(contact.size, counts, strict=True))
+        contact = contact.with_edges(gap_at, contact.grown(u, v))
     return plane, contact, pose
 
 
@@ -482,7 +491,11 @@ def _find_on_grids(
         outline = _within_outline(setup, patches, found)
         contact = outline or patches.bounds(found.active)
         weight = found.active * patches.area_mm2
-        if turns and (turn := _turn_along(patches, weight, _LONG, _ASKEW)) is not None:
+        if (
+            turns
+            and (turn := _turn_along(patches.middle_mm, weight, _LONG, _ASKEW, patches.cell_mm))
+            is not None
+        ):
             turns -= 1
             plane = Plane(origin_mm=plane.origin_mm, axes=turn @ plane.axes)
             box = _turned_box(patches, found.active, turn)
@@ -539,10 +552,11 @@ def _find_overlap(
     pose = np.where(control.by_force, start, control.given)
     if control.by_force[Z]:
         pose[Z] = touch_z + _disc(setup, float(control.given[Z]) / upright, 0.0)[1] / upright
+    turns = _TURNS if may_turn else 0
     for _ in range(_ROUNDS):
-        cells, inside, width, turn = _overlap(setup, plane, pose)
-        if may_turn and turn is not None and math.isinf(width):
-            may_turn = False
+        plane, cells, inside, width, turn = _overlap(setup, plane, pose, may_turn=turns > 0)
+        if turns and turn is not None and math.isinf(width):
+            turns -= 1
             plane = Plane(origin_mm=plane.origin_mm, axes=turn @ plane.axes)
             continue
         contact = cells.bounds(inside)._replace(width_mm=width)
@@ -573,12 +587,13 @@ def _find_overlap(
 
 
 def _overlap(
-    setup: ProbeSetup, plane: Plane, pose: Floats
-) -> tuple[Patches, Bools, float, Floats | None]:
-    """Return cells over the probe's overlap with the body at rest, which of them lie in it, the
-    mean width of its pieces, mm (inf of one that fills its box), and the turn along it.
+    setup: ProbeSetup, plane: Plane, pose: Floats, *, may_turn: bool
+) -> tuple[Plane, Patches, Bools, float, Floats | None]:
+    """Return the plane, cells over the probe's overlap with the body at rest, which of them lie in
+    it, the mean width of its pieces, mm (inf of one that fills its box), and the turn along it.
 
-    Where nothing overlaps, what is nearest counts.
+    Where nothing overlaps, what is nearest counts. What is too narrow for the cells is sought on
+    the probe's own surface, and cut in a plane along it, if that ``may_turn``.
     """
     first = setup.first
     a, b = half_extent(setup.probe, first.tilt_deg)
@@ -586,6 +601,7 @@ def _overlap(
     u, v = plane.axes[:2] @ (first.axis_mm + pose[:Z] @ first.axes[:Z] - plane.origin_mm)
     whole = Box(u0=u, u1=u, v0=v, v1=v, width_mm=0.0).grown(*(1.1 * reach))
     count = _RASTER
+    own: Floats | None = None  # points of the probe's surface in the overlap, in the plane
     while True:
         cells = setup.patches(plane, whole, (count, count))
         gap = first.gap(cells.centre_mm, cells.frames[:, 2], pose)[0]
@@ -599,6 +615,21 @@ def _overlap(
         area = float(np.count_nonzero(mask) * step.prod())
         width = 16.0 / math.pi * area / float(edge)  # a disc's is its diameter
         closer = found.grown(*(2.0 * step))
+        missed = not np.any(gap <= 0.0)
+        if own is None and (missed or width < _NARROW * step.max()):
+            points, apart = first.overlapping(setup.body, pose)
+            own = (points - plane.origin_mm) @ plane.axes[:2].T
+            turn = None
+            if may_turn and len(own):
+                turn = _turn_along(own, np.ones(len(own)), _LINE, _ASKEW)
+            if turn is not None:
+                plane = Plane(origin_mm=plane.origin_mm, axes=turn @ plane.axes)
+                own = own @ turn[:2, :2].T
+            if len(own) and (missed or turn is not None):
+                whole = _around(own).grown(apart, apart)._replace(width_mm=0.0)
+                continue
+        if own is not None and len(own):
+            closer = closer.joined(_around(own))
         if math.prod(closer.size) < 0.5 * math.prod(whole.size):
             whole = closer._replace(width_mm=0.0)
         elif width < _NARROW * step.max() and count < _FINEST:
@@ -606,12 +637,18 @@ def _overlap(
         else:
             break
     weight = inside * cells.area_mm2 * np.maximum(-gap, 1e-12)
-    turn = _turn_along(cells, weight, _LONG_OVERLAP, _ASKEW_OVERLAP)
+    turn = _turn_along(cells.middle_mm, weight, _LONG_OVERLAP, _ASKEW_OVERLAP, cells.cell_mm)
     narrow = min(found.size)
     if turn is not None:
         along = cells.middle_mm[inside] @ turn[:2, :2].T
         narrow = min(narrow, float((np.ptp(along, axis=0) + step).min()))
-    return cells, inside, math.inf if width > _ONE_PIECE * narrow else width, turn
+    return plane, cells, inside, math.inf if width > _ONE_PIECE * narrow else width, turn
+
+
+def _around(points: Floats) -> Box:
+    """Return the box around points (n, 2)."""
+    (u0, v0), (u1, v1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return Box(u0, u1, v0, v1)
 
 
 def _about_nearest(contacts: ContactProblem, whole: Box, pose: Floats) -> Box:

@@ -149,6 +149,15 @@ def _grid_error(setup: ProbeSetup, contact: Box) -> ContactError:
     )
 
 
+def _untouched(setup: ProbeSetup) -> ContactError:
+    return ContactError(
+        f"contact: the {setup.name} touches no patch: what touches is narrower than the patches "
+        f"({setup.across} across), or its push is too small to be distinguished from rounding: "
+        "raise accuracy.contact_patches, or press further (press.indentation_mm, or force_n or "
+        "move_mm of the steps)"
+    )
+
+
 _SLIDE_WIDTHS = 8.0
 """How far a round probe may slide, over its contact's width: one grid holds its whole path."""
 
@@ -337,13 +346,11 @@ def _frictional_path(
     for step in programme.steps[len(memory.states) :]:
         reaches = [one.after(programme, number, step) for number, one in enumerate(reaches)]
     planes = [one.plane for one in reaches]
-    boxes = [one.box for one in reaches if one.box is not None]
-    if len(boxes) < len(reaches):
-        raise ContactError(
-            "contact: the probe touches no patch, as its push is too small to be distinguished "
-            "from rounding; press further (press.indentation_mm, or force_n or move_mm of the "
-            "steps)"
-        )
+    boxes: list[Box] = []
+    for setup, reach in zip(programme.setups, reaches, strict=True):
+        if reach.box is None:
+            raise _untouched(setup)
+        boxes.append(reach.box)
     # The path on that grid, or on one that is made larger until it holds the contact.
     tried: list[_OnGrid] = []
     for number in range(TRIES):
@@ -595,6 +602,9 @@ def _frictionless(
                 )
                 del closed_form[number]
         if not _outgrown(boxes, contacts, found.active) and not missed:
+            for setup, rows, _ in contacts.rows:
+                if not found.active[rows].any():
+                    raise _untouched(setup)
             _refuse_overlap(contacts, found)
             return contacts, found
     raise _grid_error(setups[0], boxes[0])

@@ -224,6 +224,11 @@ def _within_footprint(probe: Cylinder | Pillar, offset_mm: Floats) -> Bools:
     return np.asarray(np.all(np.abs(offset_mm) <= np.array(probe.size_mm) / 2, axis=1))
 
 
+_SAMPLED, _SEEN = 24.0, 0.5
+"""Reach of a surface of triangles over how far its samples lie apart, and the sine up to which what
+faces away is sampled, too, as the probe may turn."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Triangles:
     """The closed surface of an STL file, (m, 3, 3) corners wound outwards."""
@@ -234,6 +239,30 @@ class _Triangles:
     def reach_mm(self) -> float:
         """Distance of the farthest corner from the origin."""
         return float(np.linalg.norm(self.corners, axis=2).max())
+
+    @cached_property
+    def samples(self) -> Points:
+        """(n, 3) points of what faces the body, so close that none of its narrow parts lies between
+        them: corners, and the middles of sides that are halved until they are short."""
+        corners = self.corners
+        facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        towards = facing[:, 2] > -_SEEN * np.linalg.norm(facing, axis=1)
+        left, found = corners[towards], [corners.reshape(-1, 3)]
+        while len(left):
+            side = np.linalg.norm(left - np.roll(left, -1, axis=1), axis=2)
+            longest = side.argmax(axis=1)
+            split = side.max(axis=1) > self.sampled_mm
+            left, longest = left[split], longest[split, None, None]
+            a, b, c = (np.take_along_axis(left, (longest + k) % 3, axis=1) for k in range(3))
+            middle = (a + b) / 2.0
+            found.append(middle[:, 0])
+            left = np.concatenate([np.hstack([a, middle, c]), np.hstack([middle, b, c])])
+        return np.unique(np.concatenate(found), axis=0)
+
+    @property
+    def sampled_mm(self) -> float:
+        """How far these lie apart at most, mm."""
+        return self.reach_mm / _SAMPLED
 
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
         triangle, distance = _tree_of(self).first_along(points, -along)
@@ -472,6 +501,17 @@ class Approach:
             return self, 0.0
         smooth = _Smooth.of(self.shape, low, high, cells, deep_mm)
         return replace(self, smooth=smooth), smooth.off_mm
+
+    def overlapping(self, body: Body, pose: Floats) -> tuple[Points, float]:
+        """Return points (n, 3) of a probe of triangles at a pose (6,) that lie inside a body at
+        rest, and how far they lie apart, mm; none of another probe, or where none does."""
+        if not isinstance(self.shape, _Triangles):
+            return np.zeros((0, 3)), 0.0
+        turned = self.axes.T @ Approach.rotation_of(pose[ABOUT_X:])
+        points = self.axis_mm + pose[: Z + 1] @ self.axes + self.shape.samples @ turned.T
+        (low, high) = np.array(body.bounds_mm)
+        points = points[np.all((points > low) & (points < high), axis=1)]
+        return points[body.depth(points) > 0.0], self.shape.sampled_mm
 
     def check_depth(self, press: Press, body: Body) -> None:
         """Raise `InputError` if a press's motions lead it deeper than a probe may sink in."""

@@ -220,14 +220,13 @@ class Box(NamedTuple):
         width = min(self.size) if math.hypot(u, v) > max(self.size) else math.inf
         return Box(self.u0 + u, self.u1 + u, self.v0 + v, self.v1 + v, width)
 
-    def with_edges(self, gap_at: Callable[[Floats], Floats]) -> Box:
+    def with_edges(self, gap_at: Callable[[Floats], Floats], wide: Box) -> Box:
         """Return the box with the places of a probe's sharp edges along its two sides.
 
-        ``gap_at`` returns the (n,) gaps at places (n, 2) of the plane, NaN off the body.
+        ``gap_at`` returns the (n,) gaps at places (n, 2) of the plane, NaN off the body; edges are
+        looked for in the box ``wide``.
         """
-        # 1. Gaps on a raster over the box and a tenth more; where they are negative the probe
-        #    overlaps the body at rest.
-        wide = self.grown(0.1 * self.size[0], 0.1 * self.size[1])
+        # 1. Gaps on a raster; where they are negative the probe overlaps the body at rest.
         u, v = (
             np.linspace(low, high, _RASTER)
             for low, high in ((wide.u0, wide.u1), (wide.v0, wide.v1))
@@ -306,6 +305,7 @@ def _side(
         return low, high, count
     place, way = edges[edges[:, 0].argsort()].T
     asked = (high - low) / count
+    low, high = min(low, float(place[0])), max(high, float(place[-1]))
     widths = asked * np.linspace(_FINEST, _WIDEST, _STEPS)
     # Ridges as narrow as gaps leave no room beyond edges.
     for beyond in (edge := np.outer(Box.beyond_edge(widths, thick_mm), way), 0.0 * edge):
