@@ -27,10 +27,9 @@ from twin.errors import AccuracyWarning
 from twin.parts.load import Rectangles
 from twin.parts.part import Purpose
 from twin.parts.scene import Scene
-from twin.sense.calibration import Calibration
+from twin.sense.calibration import Calibration, from_compliance
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found, track
-from twin.sense.transfer import from_compliance
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor

@@ -23,10 +23,9 @@ from benchmarks.inverse import NOISE_PX, as_found
 from twin.arrays import Floats
 from twin.parts.load import Load, Rectangles, Traction
 from twin.parts.scene import Scene, Sites
-from twin.sense.calibration import Calibration
+from twin.sense.calibration import Calibration, fill_between, from_presses
 from twin.sense.fit_design import Fit, Presses
 from twin.sense.reconstruct import reconstruct
-from twin.sense.transfer import fill_between, from_presses
 from twin.study.calibrate import FOOTPRINT, calibration_press
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene

@@ -3,9 +3,8 @@
 import numpy as np
 from standard_bodies import rectangles
 
-from twin.sense.calibration import Calibration
+from twin.sense.calibration import Calibration, from_compliance
 from twin.sense.track import Found
-from twin.sense.transfer import from_compliance
 from twin.theory import halfspace
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.world.mesh.elements import quadrature, shapes
+from twin.world.mesh.quadratic_mesh import quadrature, shapes
 from twin.world.mesh.snap import snapped_mesh
 
 KUHN = [(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)]

@@ -15,7 +15,7 @@ from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
-from twin.world.mesh.elements import quadrature
+from twin.world.mesh.quadratic_mesh import quadrature
 
 
 @pytest.mark.parametrize("axes", [2, 3])

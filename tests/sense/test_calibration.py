@@ -8,8 +8,7 @@ from half_space_sensor import cell_compliance, finger_sensor
 from twin.errors import InputError
 from twin.parts.camera import Camera
 from twin.parts.scene import Sites
-from twin.sense.calibration import SINCE, Calibration, read_calibration
-from twin.sense.transfer import fill_between, from_compliance, from_presses
+from twin.sense.calibration import SINCE, Calibration, fill_between, from_compliance, from_presses, read_calibration
 
 MARKERS, SEEN, CALIBRATION = finger_sensor()
 CAMERA = Camera(focal_px=300, pupil_mm=(0, 0, 14))

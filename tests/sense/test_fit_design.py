@@ -7,8 +7,8 @@ import pytest
 from half_space_sensor import compliance, grid
 
 from twin.errors import InputError
+from twin.sense.calibration import left_out
 from twin.sense.fit_design import Fit, Presses
-from twin.sense.transfer import left_out
 
 PLACES = np.array([[0.0, 0, 0], [3, 3, 0], [-3, 3, 0], [3, -3, 0], [-3, -3, 0]])
 SIZES = np.array([0.03, 0.05, 0.01])

@@ -15,10 +15,9 @@ from standard_bodies import rectangles
 from twin.errors import InputError
 from twin.judge.score import force_score
 from twin.parts.camera import Camera
-from twin.sense.inverse import METHODS
+from twin.sense.calibration import from_compliance, from_presses
+from twin.sense.inverse import METHODS, Factors
 from twin.sense.reconstruct import Bump, reconstruct
-from twin.sense.regularisation import Factors
-from twin.sense.transfer import from_compliance, from_presses
 from twin.study.calibrate import calibration_of
 from twin.study.new_scene import Pad
 from twin.study.recipe import load_scene

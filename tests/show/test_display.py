@@ -14,8 +14,8 @@ import twin
 from twin.results import Estimate, RunResult, Truth
 from twin.sense.reconstruct import Field
 from twin.show.explain import LIMITS, explain
-from twin.show.figure_panels import Panel
 from twin.show.report import report
+from twin.show.reproduction_page import Panel
 
 
 def run_result(*, forces: bool = True) -> RunResult:

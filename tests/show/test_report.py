@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from twin.results import Estimate, RunResult, Truth
-from twin.show import svg_plots
+from twin.show import html_page
 from twin.show.html_page import digits
 from twin.show.report import report
 
@@ -299,7 +299,7 @@ def test_arrows_have_the_stated_length(full: RunResult, page: str) -> None:
     drawn = np.concatenate([path_arrows(page, f"truth {c}") for c in ("red", "blue")])
     length = np.hypot(*(drawn[:, 2:] - drawn[:, :2]).T)
     # the markers reach from column 19.5 to 619.5; their margin would leave the picture, whose width is 640
-    per_px = (svg_plots.VIEW - svg_plots.LEFT - svg_plots.RIGHT) / 640
+    per_px = (html_page.VIEW - html_page.LEFT - html_page.RIGHT) / 640
     assert length.max() == pytest.approx(float(said[1]) * shift.max() * per_px, abs=0.15)
 
 
@@ -315,7 +315,7 @@ def test_tracking_errors_are_tracked_minus_true(full: RunResult) -> None:
     drawing = re.findall(r"<svg.*?</svg>", page, re.S)[2]
     drawn = path_arrows(drawing, "tracked red")
     assert len(drawn) == 335
-    per_px = (svg_plots.VIEW - svg_plots.LEFT - svg_plots.RIGHT) / 640
+    per_px = (html_page.VIEW - html_page.LEFT - html_page.RIGHT) / 640
     np.testing.assert_allclose(drawn[:, 3] - drawn[:, 1], 0.1 * float(said[1]) * per_px, atol=0.11)
     np.testing.assert_allclose(drawn[:, 2], drawn[:, 0], atol=0.11)
 
@@ -396,11 +396,11 @@ def test_one_layer_is_named_as_the_cause_of_an_uncertain_push(full: RunResult) -
 
 
 def test_ticks_are_round_and_inside() -> None:
-    svg = svg_plots.Axes(left=-0.5, right=639.5, bottom=479.5, top=-0.5, height=300).drawing("", "x", "y", "")
+    svg = html_page.Axes(left=-0.5, right=639.5, bottom=479.5, top=-0.5, height=300).drawing("", "x", "y", "")
     across, up = (re.findall(rf'text-anchor="{a}">([\d.-]+)<', svg) for a in ("middle", "end"))
     assert across == ["0", "100", "200", "300", "400", "500", "600"]
     assert up == ["0", "100", "200", "300", "400"]
-    svg = svg_plots.Axes(left=0, right=1, bottom=-0.013, top=0.021, height=300).drawing("", "x", "y", "")
+    svg = html_page.Axes(left=0, right=1, bottom=-0.013, top=0.021, height=300).drawing("", "x", "y", "")
     assert re.findall(r'text-anchor="end">([\d.-]+)<', svg) == ["-0.01", "0", "0.01", "0.02"]
 
 
@@ -481,7 +481,7 @@ def page_part(page: str, title: str) -> str:
 def test_long_numbers_beside_a_drawing_do_not_touch_the_axis_name() -> None:
     def room(top: float) -> tuple[float, float]:
         """Return where the drawing begins and where the axis's name stands, in view units."""
-        svg = svg_plots.Axes(left=0, right=1, bottom=0, top=top, height=100).drawing("", "x", "y", "")
+        svg = html_page.Axes(left=0, right=1, bottom=0, top=top, height=100).drawing("", "x", "y", "")
         (begin,), (name,) = re.findall(r'viewBox="(-?\d+) ', svg), re.findall(r'x="(-?\d+)"[^>]*rotate', svg)
         return float(begin), float(name)
 

@@ -15,4 +15,4 @@ CentreMethod = Literal["disc-fit", "soft-window", "two-pass"]
 """How markers' centres are measured: `twin.sense.reference.METHODS`."""
 
 WeightRule = Literal["auto", "likelihood", "gcv"]
-"""How the weight of the regularisation is chosen: `twin.sense.regularisation.RULES`."""
+"""How the weight of the regularisation is chosen: `twin.sense.inverse.RULES`."""

@@ -1,30 +1,421 @@
-"""The inverse problem of one picture: marker shifts in, forces out, for one weight.
+"""The inverse problem of one picture: marker shifts in, forces out.
 
 `Problem.of` weighs the markers by their noise and sets up the least squares of the picture. What is
-kept small, and how, is listed in `METHODS`; `twin.sense.reconstruct` solves.
+kept small, and how, is listed in `METHODS`, the rules for its weight in `RULES`;
+`twin.sense.reconstruct` solves.
+
+**The regularised inverse** (`Factors`). The papers minimise |H F - M|^2 + (w/2) F^T Q F (flat
+paper, eqs. 12 and 15, with the corrections F = (H^T H + (w/2) Q)^-1 H^T M). With Q = L L^T and the
+whitened H L^-T = U S V^T, every weight's solution, noise and evidence are sums over the singular
+values, so choosing the weight costs no more than using it.
 
 **Weights of the markers** are those of the rest picture, as each set of weights needs a
-factorisation of its own (145 ms of CPU time on the flat block; a solve takes 5). Lost markers, and
-markers much noisier than at rest, are corrected exactly (`twin.sense.regularisation`). So a
-solution depends on nothing but the rest picture and the picture.
+factorisation of its own (145 ms of CPU time on the flat block; a solve takes 5). So a solution
+depends on nothing but the rest picture and the picture.
+
+**A marker that is lost** in a picture, or far noisier than at rest, changes rows of H. With W the
+share of its information that every datum has (1 usual, 0 lost), the solution F = (H^T W H + w Q)^-1
+H^T W d is the unweighted one of other data: d' = W d + (1 - W) H F. As H F = A d' with A = U
+diag(S^2/(S^2 + w)) U^T, these are as many equations as there are such data: exact, for any weight.
+The covariance follows from the same few rows (Woodbury's formula). The rules for a weight look at
+the weighted problem's own spectrum, W^1/2 H L^-T = U' S' V'^T, from V' S'^2 V'^T = S (1 - U^T (1 -
+W) U) S in the base's V: filled data have no noise where they were filled.
+
+Validity: the other markers must nearly determine the forces by themselves (`Problem` factorises
+again where more data are concerned).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import scipy.linalg
 
-from twin.arrays import Bools, Floats, medians
+from twin.arrays import Bools, Floats, Ints, medians
 from twin.errors import InputError
-from twin.parts.methods import Method
+from twin.parts.methods import Method, WeightRule
 from twin.sense.calibration import Calibration
 from twin.sense.constraints import LEAST, Quadratic
-from twin.sense.regularisation import Factors
 from twin.sense.track import Found
+
+LEAST_DECADES, MOST_DECADES = -13.0, -2.0
+"""Weights that are searched, decades over the largest squared singular value.
+
+The upper end decides where a picture shows noise alone: there the most likely weight is infinite,
+which states zero force with zero deviation, and hides a small load. Errors of the total are .6 to
+1.2 times those stated on both sensors, loads of 0 to 10 mN (5 mm and 1 mm presses, .005 px of
+noise); with -1 loads of 2 to 5 mN are 2 to 4 stated deviations off, with 0 they are 4 to 12."""
+
+DECADES = np.linspace(LEAST_DECADES, MOST_DECADES, 67)
+STEPS = np.linspace(-1.0, 1.0, 21)
+"""First all decades are searched, then around the best one."""
+
+FLAT = 1e-8
+"""Weights whose objectives differ by less are as good, and the largest is taken. Where sites have
+more unknowns than markers give data, small weights all explain them without noise, and round-off
+would choose."""
+
+LEAST_RATIO = 1e-5
+"""Ratio of singular values down to which they follow from their squares, the smallest to 2e-6 of
+itself. Forces of the finger (6e-5, weights of 1e-8 of the largest square) change by 5e-11."""
+
+ROBUSTNESS = 0.3
+LIKELY = 2.0
+"""What the most likely weight is raised by where none is given."""
+
+MOST_RAISED = 10.0
+"""What the likely weight is raised by at most, 2 to 5 on the flat sensor. Where few markers are
+seen, any small weight explains their motion and says nothing of how large forces are."""
+
+ROUND_OFF = 1e-14
+"""Squared singular values of a weighted problem, over the largest, that are round-off."""
+
+
+def _automatic(seen: Factors.Spectrum) -> float:
+    """Return the larger of `LIKELY` times the most likely weight and the cross-validated one.
+
+    An even prior does not expect a press concentrated in few sites, so either rule smooths too
+    little, not in the same cases (``python -m benchmarks inverse``).
+    """
+    return max(LIKELY * _most_likely(seen), _cross_validated(seen))
+
+
+def _most_likely(seen: Factors.Spectrum) -> float:
+    """Return the whitened weight with the largest marginal likelihood.
+
+    The forces are drawn from N(0, s^2 Q^-1 / weight) and the whitened noise from N(0, s^2), the
+    common scale s^2 being profiled out: -2 log p = m log s^2(w) + sum log(1 + S^2/w), s^2(w) = (sum
+    (U^T d)^2/(1 + S^2/w) + rest)/m. So only the relative noise of the markers matters, and model
+    errors count as noise.
+    """
+
+    def minus_log(weight: Floats) -> Floats:
+        gain = 1.0 + seen.squared / weight[:, None]
+        scale = ((seen.energy / gain).sum(axis=1) + seen.outside) / seen.count
+        return np.asarray(seen.count * np.log(scale) + np.log(gain).sum(axis=1))
+
+    return _least(minus_log, seen)
+
+
+def _cross_validated(seen: Factors.Spectrum) -> float:
+    """Return the weight with the least robust generalised cross-validation score.
+
+    With h = S^2/(S^2 + w): (|residual|^2/m) / (1 - sum h/m)^2 (ROBUSTNESS + (1 - ROBUSTNESS) sum
+    h^2/m). The second factor keeps it from the undersmoothing of plain cross-validation (M. A.
+    Lukas, Inverse Problems 22 (2006) 1883).
+    """
+
+    def log_score(weight: Floats) -> Floats:
+        left = weight[:, None] / (seen.squared + weight[:, None])
+        residual = (left**2 * seen.energy).sum(axis=1) + seen.outside
+        influence = ROBUSTNESS + (1.0 - ROBUSTNESS) * ((1.0 - left) ** 2).sum(axis=1) / seen.count
+        freedom = (left.sum(axis=1) + seen.count - len(seen.squared)) / seen.count
+        return np.asarray(np.log(residual * influence / freedom**2))
+
+    return _least(log_score, seen)
+
+
+def _least(objective: Callable[[Floats], Floats], seen: Factors.Spectrum) -> float:
+    """Search the logarithm of the weight from `LEAST_DECADES` to `MOST_DECADES`."""
+    top = float(seen.squared.max(initial=0.0))
+    if top <= 0.0 or not (seen.energy.any() or seen.rest > 0.0):
+        return max(top, 1.0)
+    decades, best, step = DECADES, 0.0, DECADES[1] - DECADES[0]
+    for _ in range(2):
+        values = objective(top * 10.0**decades)
+        best = float(decades[values <= values.min() + FLAT].max())
+        decades = np.minimum(best + step * STEPS, MOST_DECADES)
+    return float(top * 10.0**best)
+
+
+RULES: dict[WeightRule, Callable[[Factors.Spectrum], float]] = {
+    "auto": _automatic,
+    "likelihood": _most_likely,
+    "gcv": _cross_validated,
+}
+"""By name, from a spectrum to the whitened weight."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Factors:
+    """A factorised inverse problem, whitened to unit noise.
+
+    Attributes
+    ----------
+    left
+        (m, r) U.
+    singular
+        (r,) S.
+    back
+        (3k, r) L^-T V: from the reduced unknowns to forces.
+    null
+        (3k, 3k - r) the same for directions that no marker sees.
+    share
+        (m,) information of every datum over its usual one; 0 for lost data.
+    """
+
+    @dataclass(frozen=True, kw_only=True)
+    class Spectrum:
+        """What the rules for the weight look at: one picture's data along the singular directions.
+
+        Attributes
+        ----------
+        squared
+            (r,) squared singular values.
+        energy
+            (r,) squared components of the whitened data along U.
+        rest
+            What of |d|^2 lies outside U.
+        count
+            Number of data.
+        """
+
+        squared: Floats
+        energy: Floats
+        rest: float
+        count: int
+
+        @property
+        def outside(self) -> float:
+            """`rest`, with a round-off floor."""
+            return self.rest + 1e-20 * (float(self.energy.sum()) + self.rest)
+
+    left: Floats
+    singular: Floats
+    back: Floats
+    null: Floats
+    share: Floats
+
+    @classmethod
+    def of(cls, transfer: Floats, penalty: Floats) -> Factors:
+        """Decompose a whitened (m, 3k) transfer matrix with respect to a (3k, 3k) positive definite
+        penalty."""
+        lower = np.linalg.cholesky(penalty)
+        reduced = scipy.linalg.solve_triangular(lower, transfer.T, lower=True).T
+        left, singular, right = scipy.linalg.svd(reduced, full_matrices=len(reduced) < len(penalty))
+        back = scipy.linalg.solve_triangular(lower.T, right.T, lower=False)
+        count = len(singular)
+        return cls(
+            left=left[:, :count],
+            singular=singular,
+            back=back[:, :count],
+            null=back[:, count:],
+            share=np.ones(len(left)),
+        )
+
+    def of_some(self, rows: Bools, scale: Floats) -> Factors:
+        """Return the factors of some rows of the matrix, (m,), each times its scale (u,).
+
+        Where data are fewer than unknowns, this takes a quarter of the time of `of`: most by the
+        squares of the singular values, unless these are too far apart for double precision.
+        """
+        part = scale[:, None] * (self.left[rows] * self.singular)
+        count = min(part.shape)
+        right = np.linalg.eigh(part.T @ part)[1][:, ::-1]
+        left = part @ right[:, :count]
+        singular = np.sqrt((left**2).sum(axis=0))
+        if count and singular.min() > LEAST_RATIO * singular.max():
+            left = left / singular
+        else:
+            left, singular, across = scipy.linalg.svd(part, full_matrices=count == len(part))
+            right = across.T
+        back = self.back @ right
+        return Factors(
+            left=left,
+            singular=singular,
+            back=back[:, :count],
+            null=np.hstack([self.null, back[:, count:]]) if count < len(right) else self.null,
+            share=np.ones(len(part)),
+        )
+
+    @cached_property
+    def rows(self) -> Ints:
+        """(s,) indices of the data whose information is not the usual one."""
+        return np.flatnonzero(self.share != 1.0)
+
+    def forces(self, data: Floats, weight: float) -> Floats:
+        """Return (k, 3) forces of whitened data, N."""
+        _, along = self._completed(data, weight)
+        return np.asarray((self.back @ (self._filtered(weight) * along)).reshape(-1, 3))
+
+    def sums(self, rows: Floats, data: Floats, weight: float) -> Floats:
+        """Return (c, q) ``rows`` (q, 3k) times the forces of (c, m) whitened data."""
+        _, along = self._completed(data.T, weight)
+        return np.asarray(((rows @ self.back * self._filtered(weight)) @ along).T)
+
+    def filled(self, data: Floats, weight: float) -> Floats:
+        """Return (m,) or (m, q) data of which the usual solution is the weighted one; lost data
+        must be finite."""
+        return self._completed(data, weight)[0] if len(self.rows) else data
+
+    def _completed(self, data: Floats, weight: float) -> tuple[Floats, Floats]:
+        """Return `filled` data, and U^T of them."""
+        rows = self.rows
+        if not len(rows):
+            return data, np.asarray(self.left.T @ data)
+        usual = data.copy()
+        usual[rows] = 0.0
+        others = self.left.T @ usual
+        keep = self._keep(weight)
+        some, lack = self.left[rows], (1.0 - self.share[rows])[:, None]
+        columns = data.reshape(len(data), -1).copy()
+        along = others.reshape(len(others), -1)
+        measured = self.share[rows][:, None] * columns[rows]
+        within = np.eye(len(rows)) - lack * ((some * keep) @ some.T)
+        from_others = some @ (keep[:, None] * along)
+        columns[rows] = np.linalg.solve(within, measured + lack * from_others)
+        along = along + some.T @ columns[rows]
+        return columns.reshape(data.shape), along.reshape(others.shape)
+
+    def towards(self, data: Floats, predicted: Floats) -> Floats:
+        """Return (m,) data filled with what any solution predicts: with its own, it is that
+        solution's `filled`."""
+        return np.asarray(self.share * data + (1.0 - self.share) * predicted)
+
+    def predicted(self, data: Floats, weight: float) -> Floats:
+        """Return H F of data."""
+        _, along = self._completed(data, weight)
+        return np.asarray(self.left @ (self._keep(weight) * along.T).T)
+
+    def weight(self, rule: WeightRule, data: Floats) -> float:
+        """Return the weight that one of `RULES` chooses for the data."""
+        return self.weights(rule, data)[0]
+
+    def weights(self, rule: WeightRule, data: Floats) -> tuple[float, float]:
+        """Return `weight`, and the most likely one (`MOST_RAISED`), by which forces are as large
+        as the data show them."""
+        seen = self._spectrum(data)
+        used = RULES[rule](seen)
+        return used, max(_most_likely(seen), used / MOST_RAISED)
+
+    def freedom(self, weight: float) -> float:
+        """Return the degrees of freedom of the residual over the number of data."""
+        fitted = float((self.singular * self._filtered(weight)).sum())
+        return 1.0 - fitted / len(self.left)
+
+    def noise_scale(self, data: Floats, weight: float) -> float:
+        """Return how much larger the noise is than stated, as the marginal likelihood at ``weight``
+        has it; for weight 0 the residual, the stated noise being one datum more."""
+        if len(self.rows):
+            residual = data - self.predicted(data, weight)
+            squared = max(float((self.share * data) @ residual), 0.0)
+        else:  # without the cancellation where weights are small
+            seen = self._spectrum(data)
+            squared = seen.rest
+            if weight > 0:
+                squared += float(seen.energy @ (weight / (seen.squared + weight)))
+        count = int((self.share > 0).sum())
+        if weight <= 0:
+            squared, count = squared + 1.0, count - len(self.singular) + 1
+        return float(np.sqrt(squared / max(count, 1)))
+
+    def covariance(self, weight: float, rows: Floats) -> Floats:
+        """Return the (q, q) covariance of ``rows`` (q, 3k) times the forces, at unit noise.
+
+        That of the posterior, forces being drawn from N(0, Q^-1 / weight); directions that no
+        marker sees keep their prior variance. For weight 0 that of the noise carried through the
+        pseudo-inverse.
+        """
+        seen = rows @ self.back
+        if weight <= 0:
+            return np.asarray((seen * self._filtered(0.0) ** 2) @ seen.T)
+        unseen = rows @ self.null
+        usual = (seen / (self.singular**2 + weight)) @ seen.T + unseen @ unseen.T / weight
+        if not len(self.rows):
+            return np.asarray(usual)
+        response, more = self._more(weight)
+        widened = response @ rows.T
+        return np.asarray(usual + widened.T @ more @ widened)
+
+    def misfit_variance(self, data: Floats, weight: float, rows: Floats, even: float) -> Floats:
+        """Return the (q,) variance of ``rows`` (q, 3k) times the forces that markers' residuals
+        show beyond noise that is ``even`` times the stated one: the model errs next to a load.
+
+        The covariance HC2 of J. G. MacKinnon and H. White (J. Econometrics 29 (1985) 305), a marker
+        at a time: a residual over the root of its share of freedom, times what it moves.
+        """
+        root = np.sqrt(self.share)
+        seen = root[:, None] * self.left * self.singular
+        count = len(self.singular)
+        stiffness = seen.T @ seen + weight * np.eye(count)
+        inverse = np.linalg.solve(stiffness, seen.T) if weight > 0 else np.linalg.pinv(seen)
+        fitted = seen.reshape(-1, 2, count) @ inverse.reshape(count, -1, 2).transpose(1, 0, 2)
+        freedom, axes = np.linalg.eigh(np.eye(2) - fitted)
+        residual = (root * (data - self.predicted(data, weight))).reshape(-1, 2, 1)
+        error = axes @ (axes.mT @ residual / np.sqrt(np.maximum(freedom, ROUND_OFF))[:, :, None])
+        moves = (rows @ self.back @ inverse).reshape(len(rows), -1, 2).transpose(1, 0, 2)
+        found = ((moves @ error)[:, :, 0] ** 2).sum(axis=0)
+        noise = even**2 * (moves**2).sum(axis=(0, 2))
+        return np.asarray(np.maximum(found - noise, 0.0))
+
+    def site_variance(self, weight: float, likely: float) -> Floats:
+        """Return (3k,) variances of the forces themselves, those being drawn from N(0, Q^-1 /
+        likely): with C the `covariance` at ``weight``, C + (weight^2/likely - weight) C Q C.
+
+        Why: a weight above the likely one takes forces for smaller than they are, and smooths off
+        more than C has. On the flat sensor C states 0.6 to 1.15 times a press's error, this 0.84
+        to 2.5 times.
+        """
+        if weight <= 0:
+            return np.asarray((self.back**2) @ self._filtered(0.0) ** 2)
+        each = 1.0 / (self.singular**2 + weight)
+        excess = weight / likely - 1.0
+        variance = (1.0 + excess) * (self.null**2).sum(1) / weight
+        if not len(self.rows):  # back^T Q back is the unit matrix
+            return np.asarray(variance + self.back**2 @ (each + excess * weight * each**2))
+        response, more = self._more(weight)
+        widened = more @ response
+        smoothed = each[:, None] * self.back.T
+        smoothed += (self.left[self.rows] * (self.singular * each)).T @ widened
+        variance += self.back**2 @ each + np.einsum("si,si->i", response, widened)
+        return np.asarray(variance + excess * weight * (smoothed**2).sum(axis=0))
+
+    def _spectrum(self, data: Floats) -> Factors.Spectrum:
+        """Return the weighted problem's spectrum; lost data must be finite."""
+        rows, known = self.rows, self.share * data
+        count = int((self.share > 0).sum())
+        pull = self.left.T @ known
+        squared, energy = self.singular**2, pull**2
+        if len(rows):
+            some = self.left[rows] * self.singular
+            gram = np.diag(squared) - (some.T * (1.0 - self.share[rows])) @ some
+            squared, turn = (found[..., -count:] for found in np.linalg.eigh(gram))
+            squared = np.maximum(squared, ROUND_OFF * squared.max(initial=np.finfo(float).tiny))
+            energy = (turn.T @ (self.singular * pull)) ** 2 / squared
+        rest = 0.0  # what lies outside is round-off where U is square
+        if count > len(squared):
+            rest = max(float(known @ data) - float(energy.sum()), 0.0)
+        return Factors.Spectrum(squared=squared, energy=energy, rest=rest, count=count)
+
+    def _filtered(self, weight: float) -> Floats:
+        """Return (r,) factors S/(S^2 + weight); weight 0 is the pseudo-inverse, cut at round-off
+        only."""
+        singular = self.singular
+        if weight > 0:
+            return np.asarray(singular / (singular**2 + weight))
+        size = max(self.left.shape[0], self.back.shape[0])
+        cut = size * np.finfo(float).eps * singular.max(initial=0.0)
+        inverse = np.divide(1.0, singular, out=np.zeros_like(singular), where=singular > cut)
+        return np.asarray(inverse)
+
+    def _keep(self, weight: float) -> Floats:
+        squared = self.singular**2
+        return np.asarray(squared / (squared + weight) if weight > 0 else 1.0 * (squared > 0))
+
+    def _more(self, weight: float) -> tuple[Floats, Floats]:
+        """Return C H_s^T as (s, 3k) and the (s, s) matrix that widens the covariance C by what the
+        data s lack."""
+        rows, singular = self.rows, self.singular
+        some, lack = self.left[rows], 1.0 - self.share[rows]
+        response = (some * (singular / (singular**2 + weight))) @ self.back.T
+        inner = np.eye(len(rows)) - ((some * self._keep(weight)) @ some.T) * lack
+        more = lack[:, None] * np.linalg.inv(inner)
+        return response, (more + more.T) / 2
 
 
 @dataclass(frozen=True, kw_only=True)

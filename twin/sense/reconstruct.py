@@ -47,8 +47,7 @@ from twin.display import (
 from twin.errors import InputError, require
 from twin.parts.methods import Method, WeightRule
 from twin.sense.calibration import Calibration
-from twin.sense.inverse import METHODS, Problem
-from twin.sense.regularisation import RULES, Factors
+from twin.sense.inverse import METHODS, RULES, Factors, Problem
 from twin.sense.track import Found
 from twin.theory.relaxation import Hereditary, Relaxation
 
@@ -458,7 +457,7 @@ def _excess(
         (m,) whitened residuals of the data as measured.
     share
         (m,) information of the data over that by whitening, 0 for lost ones (see
-        `twin.sense.regularisation`).
+        `twin.sense.inverse`).
     freedom
         Degrees of freedom of the residual over m: residuals are shorter than the noise by its root.
     leave_out

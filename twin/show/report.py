@@ -23,8 +23,7 @@ from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice
 from twin.files import png_bytes
 from twin.results import RunResult, Truth
 from twin.show.explain import WORDS
-from twin.show.html_page import Unit, digits, figure, finite, page, table, two_columns
-from twin.show.svg_plots import Axes
+from twin.show.html_page import Axes, Unit, digits, figure, finite, page, table, two_columns
 
 _STAGES = ("elastic", "tracking", "force")
 """Order of the stages in the table of errors; others follow."""

@@ -373,7 +373,7 @@ def _nominal_compliance(sensor: Sensor, points: Points, sites: Rectangles) -> Fl
 
 def _through_camera(sensor: Sensor, points: Points, compliance: Floats) -> Floats:
     """Return (2n, 3k) px/N of the compliance of (n, 3) points, mm, in the nominal camera."""
-    from twin.sense.transfer import from_compliance
+    from twin.sense.calibration import from_compliance
 
     jacobian = project_with_jacobian(points, *sensor.nominal.optics)[1]
     return from_compliance(compliance, jacobian)
@@ -496,7 +496,7 @@ def _measured_calibration(
     """Return Sato's calibration: three presses at every place, the nominal design in between."""
     from scipy.linalg import block_diag
 
-    from twin.sense.transfer import fill_between, from_presses, left_out
+    from twin.sense.calibration import fill_between, from_presses, left_out
 
     scene = sensor.nominal
     count = len(places)

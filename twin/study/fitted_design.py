@@ -334,7 +334,7 @@ class FittedDesign:
 
     def transfer(self, scaled: Floats, markers: Points, compliance: Floats) -> Floats:
         """Return (2n, 3k) px/N: the compliance through the fitted camera."""
-        from twin.sense.transfer import from_compliance
+        from twin.sense.calibration import from_compliance
 
         seen = project_with_jacobian(markers, *self.optics_of(scaled))[1]
         return from_compliance(compliance, seen)

@@ -11,8 +11,7 @@ from twin.parts.material import Material
 from twin.parts.press import Cone, Pillar, Press, Step
 from twin.world.contact import load_step
 from twin.world.contact.coulomb import solve_coulomb
-from twin.world.contact.influence import DenseInfluence, LatticeInfluence
-from twin.world.contact.saddle_point import SaddlePoint
+from twin.world.contact.influence import DenseInfluence, LatticeInfluence, SaddlePoint
 from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
 from twin.world.elasticity.compliance import Compliance
 

@@ -21,7 +21,7 @@ from twin.world.elasticity import cache
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.factor import LIMIT, Factor
-from twin.world.mesh import elements
+from twin.world.mesh import quadratic_mesh
 from twin.world.mesh.quadratic_mesh import Mesh
 
 POINTS = np.array([[0.0, 0.0, 1.0], [1.0, -1.0, 2.0]])
@@ -82,7 +82,7 @@ def test_another_load_or_material_is_another_field(folder):
 def test_changed_code_makes_other_fields(folder, monkeypatch, tmp_path_factory):
     """The sources of meshes are read from a copy, by the module as a new process would load it."""
     copy = tmp_path_factory.mktemp("sources") / "mesh"
-    shutil.copytree(Path(elements.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(Path(quadratic_mesh.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
 
     def in_a_new_process():
         loaded = importlib.util.spec_from_file_location("loaded_again", cache.__file__)
@@ -93,7 +93,7 @@ def test_changed_code_makes_other_fields(folder, monkeypatch, tmp_path_factory):
         return solves(lambda: stiff().displacement(POINTS, load()))[1]
 
     stiff().displacement(POINTS, load())
-    monkeypatch.setattr(elements, "__file__", str(copy / Path(elements.__file__).name))
+    monkeypatch.setattr(quadratic_mesh, "__file__", str(copy / Path(quadratic_mesh.__file__).name))
     assert in_a_new_process() == 0
     with (copy / "snap.py").open("a") as source:
         source.write("CHANGED = 1\n")

@@ -10,7 +10,7 @@ from twin.parts.body import Block, Finger
 from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.cover_mesh import with_cover
-from twin.world.mesh.elements import TET_EDGES, boundary_triangles, signed_volumes
+from twin.world.mesh.quadratic_mesh import TET_EDGES, boundary_triangles, signed_volumes
 from twin.world.mesh.quality import Quality, open_edges
 
 

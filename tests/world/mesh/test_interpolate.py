@@ -8,8 +8,8 @@ from standard_bodies import BLOCK, FINGER
 
 from twin.errors import InputError
 from twin.world.mesh.body_mesh import body_mesh
-from twin.world.mesh.elements import shapes
 from twin.world.mesh.interpolate import Locator, Recovery
+from twin.world.mesh.quadratic_mesh import shapes
 
 POINTS = 60_000
 

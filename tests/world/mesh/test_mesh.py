@@ -17,8 +17,7 @@ from twin.parts.body import Block, Finger, Solid
 from twin.world.mesh import body_mesh as making
 from twin.world.mesh.body_mesh import body_mesh, build_mesh
 from twin.world.mesh.cover_mesh import with_cover
-from twin.world.mesh.elements import TET_EDGES
-from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quadratic_mesh import TET_EDGES, Mesh
 from twin.world.mesh.quality import Quality
 from twin.world.mesh.sizing import WORLD, Sizing, WantedEdge
 from twin.world.mesh.snap import snapped_mesh

@@ -10,8 +10,7 @@ from standard_bodies import assert_holder_balances, forces_on, on_boundary
 from twin.errors import InputError, MeshError, SolveError
 from twin.parts.body import Block
 from twin.world.elasticity.fem import TaylorHood
-from twin.world.mesh.elements import TET_EDGES
-from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quadratic_mesh import TET_EDGES, Mesh
 from twin.world.mesh.quality import Quality
 from twin.world.mesh.snap import snapped_mesh
 

@@ -16,7 +16,7 @@ from standard_bodies import FINGER
 from twin.errors import InputError, MeshError
 from twin.parts.body import Block
 from twin.world.mesh.body_mesh import outer_surface
-from twin.world.mesh.elements import signed_volumes
+from twin.world.mesh.quadratic_mesh import signed_volumes
 from twin.world.mesh.sizing import Sizing, WantedEdge
 from twin.world.mesh.tetrahedralise import Request
 

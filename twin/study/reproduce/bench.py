@@ -32,7 +32,7 @@ from twin.parts.sweep import GF
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import Field, reconstruct
 from twin.sense.track import Found
-from twin.show.figure_panels import Panel
+from twin.show.reproduction_page import Panel
 from twin.study.calibrate import calibration_of, half_space_compliance
 from twin.study.recipe import load_scene
 from twin.study.reproduce.record import Numbers, Quantity, Record, Unprinted
@@ -622,7 +622,7 @@ class Chain:
 def _without_depth(rig: Rig) -> Calibration:
     """Return the half-space calibration whose camera doesn't see motion along z (Kamiyama, before
     2.5)."""
-    from twin.sense.transfer import from_compliance
+    from twin.sense.calibration import from_compliance
 
     scene = rig.scene
     points = rig.sensor.nominal_markers.points

@@ -23,7 +23,7 @@ from twin.parts.press import Press
 from twin.parts.sweep import GF
 from twin.sense.reconstruct import Field, reconstruct
 from twin.sense.track import track_frame
-from twin.show.figure_panels import Panel
+from twin.show.reproduction_page import Panel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import (
     FIRST_EXPOSURE,

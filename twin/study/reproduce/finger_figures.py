@@ -13,7 +13,7 @@ import numpy as np
 from twin.arrays import Floats, Ints
 from twin.judge.score import full_width
 from twin.sense.calibration import Calibration
-from twin.show.figure_panels import Panel
+from twin.show.reproduction_page import Panel
 from twin.study.reproduce.bench import (
     FIRST_EXPOSURE,
     MADE,

@@ -14,7 +14,7 @@ from twin.parts.load import Load, Traction
 from twin.parts.press import Cylinder, Pillar, Press, Step
 from twin.sense.reconstruct import Field
 from twin.sense.track import Found
-from twin.show.figure_panels import Panel
+from twin.show.reproduction_page import Panel
 from twin.study.reproduce.bench import (
     NO_NOISE,
     OUR_TRACKER,

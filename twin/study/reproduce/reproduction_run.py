@@ -147,7 +147,7 @@ def _run_all(out: Path, wanted: Sequence[Entry], bench: Bench) -> dict[str, str]
 
 
 def _run(out: Path, entry: Entry, bench: Bench) -> None:
-    from twin.show.figure_panels import Panel
+    from twin.show.reproduction_page import Panel
 
     started, worked = time.perf_counter(), time.process_time()
     outcome = entry.run(bench)

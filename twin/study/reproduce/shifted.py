@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.parts.methods import CentreMethod
 from twin.sense.track import Found
-from twin.show.figure_panels import Panel
+from twin.show.reproduction_page import Panel
 from twin.study.reproduce.bench import (
     KAMIYAMA,
     NO_NOISE,

@@ -45,8 +45,7 @@ from twin.parts.load import Rectangles
 from twin.parts.methods import Method
 from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import GF, Sweep
-from twin.sense.inverse import METHODS, Problem
-from twin.sense.regularisation import RULES, Factors
+from twin.sense.inverse import METHODS, RULES, Factors, Problem
 from twin.study.batch.draw import SceneTable
 from twin.study.calibrate import half_space_compliance, nominal_calibration
 from twin.study.doubts import View, shift_sd

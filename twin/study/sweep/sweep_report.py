@@ -15,8 +15,7 @@ from twin.arrays import Bools, Floats, Points
 from twin.files import make_folder, write_whole
 from twin.parts.part import Part, unit_of
 from twin.parts.sweep import METRICS
-from twin.show.html_page import digits, figure, page, small_picture, table, two_columns
-from twin.show.svg_plots import Axes
+from twin.show.html_page import Axes, digits, figure, page, small_picture, table, two_columns
 from twin.study.sweep.design_rows import Rows
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import closed

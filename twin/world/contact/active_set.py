@@ -32,7 +32,7 @@ import numpy as np
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
 from twin.world.contact.friction_law import LAW, FrictionLaw
-from twin.world.contact.saddle_point import Influence, SaddlePoint
+from twin.world.contact.influence import Influence, SaddlePoint
 
 GapOfPlace = Callable[[Floats], tuple[Floats, Floats]]
 TOLERANCE = 1e-8

@@ -29,7 +29,7 @@ from twin.parts.press import Cone, Cylinder, Object, Pillar, Press, Probe, Stl
 from twin.theory.relaxation import Relaxation, RubberMemory
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem
 from twin.world.contact.friction_law import STICKS_FROM
-from twin.world.contact.influence import DenseInfluence, LatticeInfluence
+from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence
 from twin.world.contact.probe_gap import (
     ABOUT_X,
     ABOUT_Y,
@@ -39,7 +39,6 @@ from twin.world.contact.probe_gap import (
     Z,
     half_extent,
 )
-from twin.world.contact.saddle_point import Influence
 from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
 
 _STAYS = 0.05

@@ -21,7 +21,7 @@ The unknowns x and the probe's motion q then satisfy
     C (jump + x) + M q = right,    B^T x = balance,
 
 C being the compliance, with (1 - c) / r added where a patch slips. GMRES solves them
-(`twin.world.contact.saddle_point`); it works on the change of the trial, so that a thousandth is
+(`twin.world.contact.influence`); it works on the change of the trial, so that a thousandth is
 good enough.
 
 Validity: one increment's slip; `twin.world.contact.load_step` takes paths in increments. With a
@@ -41,7 +41,7 @@ from twin.arrays import Bools, Floats, Ints
 from twin.compiled import njit
 from twin.errors import ContactError, NotSettled
 from twin.world.contact.active_set import TOLERANCE, Equilibrium, UnilateralProblem
-from twin.world.contact.saddle_point import Influence, SaddlePoint
+from twin.world.contact.influence import Influence, SaddlePoint
 
 _AT_BOUND = 1.0 - 1e-9
 """A patch that slipped before stands at its bound, to round-off, and slips on unless its load

@@ -54,8 +54,7 @@ from twin.world.contact.probe_gap import (
 )
 from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import cofactor_slope
-from twin.world.mesh.elements import inverses, quadrature, shapes
-from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quadratic_mesh import Mesh, inverses, quadrature, shapes
 
 _SPRING = 100.0
 _GAP_WEIGHT = 2.0

@@ -26,7 +26,7 @@ from twin.files import cache_folder, kept_if_possible, write_whole
 from twin.parts.body import Body
 from twin.theory import halfspace
 from twin.world.elasticity.fem import TaylorHood
-from twin.world.mesh import elements
+from twin.world.mesh import quadratic_mesh
 from twin.world.mesh.interpolate import Locator, Recovery
 
 _T = TypeVar("_T")
@@ -57,7 +57,7 @@ def _code() -> bytes:
     sha = hashlib.sha256()
     for folder in (
         Path(__file__).parent,
-        Path(elements.__file__).parent,
+        Path(quadratic_mesh.__file__).parent,
         Path(halfspace.__file__).parent,
     ):
         for path in sorted(folder.glob("*.py")):

@@ -43,8 +43,7 @@ from twin.theory.bonded_layer import BondedLayer
 from twin.theory.halfspace import GAUSS_2, rectangle_slopes
 from twin.world.elasticity.factor import GOAL
 from twin.world.elasticity.fem import TaylorHood
-from twin.world.mesh.elements import TET_EDGES, quadrature, shapes
-from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quadratic_mesh import TET_EDGES, Mesh, quadrature, shapes
 
 
 def correction(

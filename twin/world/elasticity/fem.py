@@ -33,8 +33,7 @@ from twin.arrays import Bools, Floats, Ints, coordinates
 from twin.errors import InputError, MeshError, SolveError
 from twin.parts.material import Cover, Material, shear_modulus
 from twin.world.elasticity.factor import GOAL, Factor
-from twin.world.mesh.elements import inverses, quadrature, shapes, signed_volumes
-from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quadratic_mesh import Mesh, inverses, quadrature, shapes, signed_volumes
 
 STRAIGHT = 1e-6
 """Held nodes of a part count as lying on one line when they leave it by less than this share of

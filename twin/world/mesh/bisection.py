@@ -15,8 +15,7 @@ import numpy as np
 from twin.arrays import Floats, Ints, Points
 from twin.errors import MeshError
 from twin.parts.body import Block, Body
-from twin.world.mesh.elements import TET_EDGES, kuhn_grid, signed_volumes
-from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quadratic_mesh import TET_EDGES, Mesh, kuhn_grid, signed_volumes
 from twin.world.mesh.sizing import Sizing, WantedEdge
 from twin.world.mesh.snap import snapped_mesh
 

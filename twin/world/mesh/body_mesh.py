@@ -31,8 +31,7 @@ from twin.geometry.pieces import Pieces, TriangleTree
 from twin.parts.body import CREASE_DEG, Block, Body
 from twin.parts.part import identity
 from twin.world.mesh.bisection import block_mesh
-from twin.world.mesh.elements import signed_volumes
-from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quadratic_mesh import Mesh, signed_volumes
 from twin.world.mesh.quality import Quality, open_edges
 from twin.world.mesh.sizing import Level, Sizing, WantedEdge
 from twin.world.mesh.snap import snapped_mesh

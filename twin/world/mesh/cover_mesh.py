@@ -17,8 +17,7 @@ import numpy as np
 from twin.arrays import Bools, Ints, Points, frozen
 from twin.errors import MeshError
 from twin.parts.body import Body
-from twin.world.mesh.elements import TET_EDGES, signed_volumes
-from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quadratic_mesh import TET_EDGES, Mesh, signed_volumes
 
 _LEAST_RATIO = 0.2
 """Least over largest determinant of the quadratic map that an element of a layered mesh may

@@ -19,8 +19,7 @@ import numpy as np
 
 from twin.arrays import Floats, Ints, Points, frozen
 from twin.errors import MeshError
-from twin.world.mesh.elements import TET_EDGES, inverses, shapes
-from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quadratic_mesh import TET_EDGES, Mesh, inverses, shapes
 
 _CANDIDATES = (4, 24, 400)
 """How many of the nearest elements are tried: first for all points, then for those not yet

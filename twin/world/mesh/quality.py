@@ -10,13 +10,13 @@ import numpy as np
 
 from twin.arrays import Floats, Ints, Points
 from twin.parts.body import Body
-from twin.world.mesh.elements import (
+from twin.world.mesh.quadratic_mesh import (
     TET_EDGES,
     TET_FACES,
+    Mesh,
     boundary_triangles,
     signed_volumes,
 )
-from twin.world.mesh.quadratic_mesh import Mesh
 
 LEAST_DIHEDRAL_DEG = 5.0
 LEAST_SCALED_JACOBIAN = 0.05

@@ -19,8 +19,7 @@ import numpy as np
 from twin.arrays import Floats, Ints, Points, grid_points
 from twin.parts.body import Body
 from twin.parts.part import identity
-from twin.world.mesh.elements import kuhn_grid
-from twin.world.mesh.quadratic_mesh import FORMAT
+from twin.world.mesh.quadratic_mesh import FORMAT, kuhn_grid
 
 Level = Literal["nominal", "sketch", "coarse", "standard", "fine"]
 """``nominal`` is the sensor's own model; the others are the world's, each about three times the

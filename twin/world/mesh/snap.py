@@ -15,8 +15,7 @@ import numpy as np
 
 from twin.arrays import Bools, Ints, Points, frozen
 from twin.parts.body import Body
-from twin.world.mesh.elements import TET_EDGES, TRIANGLE_EDGES, boundary_triangles
-from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quadratic_mesh import TET_EDGES, TRIANGLE_EDGES, Mesh, boundary_triangles
 
 RIM_SHARE = 0.3
 """Where the middle node of an edge from the rim stands, as a share of the edge."""

@@ -26,7 +26,7 @@ import numpy as np
 from twin.arrays import Floats, Ints, Points, frozen
 from twin.errors import InputError, MeshError
 from twin.files import ROOT
-from twin.world.mesh.elements import signed_volumes
+from twin.world.mesh.quadratic_mesh import signed_volumes
 from twin.world.mesh.quality import open_edges
 
 _PR_SET_PDEATHSIG = 1
