@@ -93,9 +93,9 @@ def quantiles(values: Floats, *shares: float) -> list[float]:
     return [float(ranked[round(share * last)]) for share in shares]
 
 
-def spacing(places: Floats) -> float:
-    """Return about the distance of neighbours among (n, 2 or 3) places, seen along z; rows with NaN
-    are left out."""
+def mean_spacing(places: Floats) -> float:
+    """Return about the distance of neighbours among (n, 2 or 3) places, seen along z: the side of
+    the square that each has of their bounding box. Rows with NaN are left out."""
     seen = places[np.isfinite(places).all(axis=1), :2]
     if len(seen) < 2:
         return 1.0

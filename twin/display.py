@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice, spacing
+from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, mean_spacing, nice
 from twin.errors import MissingCapability
 
 _MAP = "PuOr_r"
@@ -143,7 +143,8 @@ def plot_shifts(
     lengths = np.hypot(*shift_px[good].T)
     if factor is None:
         longest = float(lengths.max(initial=0.0))
-        factor = max(1.0, nice(_LONGEST * spacing(rest_px[good]) / longest)) if longest else 1.0
+        wanted = _LONGEST * mean_spacing(rest_px[good])
+        factor = max(1.0, nice(wanted / longest)) if longest else 1.0
     names = layer if len(layer) == len(rest_px) else np.full(len(rest_px), "markers")
     spare = iter(_OTHERS * (1 + len(set(names.tolist()))))
     for name in dict.fromkeys(names.tolist()):
@@ -217,7 +218,7 @@ def plot_forces(
     along = float(np.hypot(force_n[:, 0], force_n[:, 1]).max(initial=0.0))
     if along > 0:
         # noise under a straight push must look small: a tenth of the normal force at least
-        scale = max(along, 0.1 * top) / (_LONGEST * spacing(site_mm))
+        scale = max(along, 0.1 * top) / (_LONGEST * mean_spacing(site_mm))
         ax.quiver(
             *site_mm[:, :2].T,
             *force_n[:, :2].T,

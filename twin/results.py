@@ -159,8 +159,8 @@ class RunResult:
     facts
         What the report adds to the numbers: contact, calibration, validity, what truth and
         estimate share, why one layer of markers leaves a push uncertain.
-    timings
-        Seconds by stage, in order.
+    timings, cpu_s
+        Seconds by stage, in order; and seconds of the processor, which hold on a busy machine.
     """
 
     @dataclass(frozen=True, kw_only=True)
@@ -209,6 +209,7 @@ class RunResult:
     touches: tuple[Touch, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
     timings: dict[str, float] = field(default_factory=dict)
+    cpu_s: dict[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return one_line("RunResult", [f"{k} {v}" for k, v in self._rows().items() if v])

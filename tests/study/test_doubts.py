@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import twin
-from twin.arrays import spacing
+from twin.arrays import mean_spacing
 from twin.errors import InputError, RecipeError
 from twin.study.doubts import View, doubts
 from twin.study.new_scene import Pad
@@ -120,7 +120,7 @@ def test_what_is_written_is_a_scene_without_doubts(pad: Pad, tmp_path: Path) -> 
         assert ((made > 1) & (made < (scene.camera.width_px - 2, scene.camera.height_px - 2))).all(), "as made, too"
         first, drawn = next(iter(sensor.layout_px.items()))
         off = (made - np.concatenate(list(sensor.layout_px.values()))).mean(axis=0)
-        assert np.abs(off).max() < 0.5 * spacing(drawn), f"no other dot of {first} is nearer"
+        assert np.abs(off).max() < 0.5 * mean_spacing(drawn), f"no other dot of {first} is nearer"
     half = sensor.sites.half_mm.max()
     assert half > 0, "every site lies on the surface, or this is refused"
     assert scene.reconstruction is not None

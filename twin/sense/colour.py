@@ -18,7 +18,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels, medians, spacing
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, mean_spacing, medians
 from twin.compiled import njit
 from twin.errors import InputError
 from twin.sense.template import MARGIN_PX, disc
@@ -168,7 +168,7 @@ class Flaws:
         which = layer[known][:, None] == np.unique(layer[known])
         change = change - which @ medians(np.where(which, change[:, None], np.nan))
         # how many waves leave least, by ever smaller steps, of which the first turns ends by 1/8
-        most = height / (ROWS_A_WAVE * spacing(places[known]))
+        most = height / (ROWS_A_WAVE * mean_spacing(places[known]))
         step = 0.125 / np.ptp(row)
         tried = np.arange(2.0 * step, most, step)
         if not len(tried):

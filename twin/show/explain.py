@@ -71,7 +71,7 @@ def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
             text += "displacement more or less than linear theory."
             verdict = ""
         if key == "force.total_force_stated" and (cause := facts.get("one_layer")):
-            text = f"{text} The force into the surface is uncertain: {cause}."
+            text = f"{text} {words['one_layer'].format(cause)}"
         stored = unit.name if unit.times == 1.0 else "1"
         found.append(_Finding(key=key, value=value, unit=stored, sentence=text, verdict=verdict))
     return found

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice, spacing
+from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, mean_spacing, nice
 from twin.files import png_bytes
 from twin.results import RunResult, Truth
 from twin.show.explain import WORDS
@@ -199,7 +199,7 @@ def _press(result: RunResult) -> str:
     wanted = ("indentation_mm", "contact_radius_mm", "area_mm2", "peak_pressure_mpa")
     shown = _facts({key: contact[key] for key in wanted if finite(contact.get(key)) is not None})
     cause = result.facts.get("one_layer", "")
-    said = f"The force into the surface is uncertain: {cause}."
+    said = WORDS["force.total_force_stated"]["one_layer"].format(cause)
     note = f'<p class="note">{escape(said)}</p>' if cause else ""
     return _resultants(result) + note + shown + _course(result.facts.get("course"))
 
@@ -483,7 +483,7 @@ def _error_map(seen: _Sighting, axes: Axes) -> str:
     if not fine.any():
         return ""
     usual = float(np.sqrt(np.mean(error[fine] ** 2)))
-    pitch = spacing(seen.place_px)
+    pitch = mean_spacing(seen.place_px)
     scale = nice(max(pitch, 20 / axes.per_unit) / usual / 1.5) if usual > 0 else 1.0
     content = ""
     for _, style, mask in _layers(seen.layer):
@@ -805,7 +805,7 @@ def _longest(vectors: Floats) -> float:
 
 def _magnification(axes: Axes, names: np.ndarray, places: Floats, size: float) -> float:
     """Return the round factor at which an arrow of ``size`` is about a layer's pitch long."""
-    pitch = min(spacing(places[mask]) for _, _, mask in _layers(names))
+    pitch = min(mean_spacing(places[mask]) for _, _, mask in _layers(names))
     return nice(1.5 * max(pitch, 20 / axes.per_unit) / size) if size > 0 else 1.0
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, nice, spacing
+from twin.arrays import Bools, Floats, Picture, Pixels, Points, eight_bits, mean_spacing, nice
 from twin.errors import InputError, SomeFailed, TwinError
 from twin.files import make_folder, png_bytes, write_whole
 from twin.parts.scene import Scene
@@ -743,7 +743,7 @@ class _OverlayFile:
             text = f"{result.name}  Fx {x:.3f}  Fy {y:.3f}  Fz {z:.3f} N   {result.reason}"
         if found is not None and found.seen.any():
             longest = float(np.hypot(*found.shift_px[found.seen].T).max())
-            wanted = _LONGEST * spacing(found.rest_px[found.seen])
+            wanted = _LONGEST * mean_spacing(found.rest_px[found.seen])
             self._times = min(self._times, max(1.0, nice(wanted / max(longest, 1e-9))))
         drawn = _overlay(result.picture, found, f"motion x {self._times:g}  {text}", self._times)
         if self._film:

@@ -251,6 +251,7 @@ class _Stages:
         self.scene = sensor.nominal
         self.needed = needed
         self.timings: dict[str, float] = {}
+        self.cpu_s: dict[str, float] = {}
         self.failures: dict[str, str] = {}
         self.state: ContactState | None = None
         self.ends_s: Floats | None = None
@@ -267,9 +268,10 @@ class _Stages:
         """Say that a stage begins, and keep how long it takes."""
         if self.sensor.progress is not None:
             self.sensor.progress(name, self._names.index(name) / len(self._names))
-        started = time.perf_counter()
+        started, cpu = time.perf_counter(), time.process_time()
         yield
         self.timings[name] = time.perf_counter() - started
+        self.cpu_s[name] = time.process_time() - cpu
 
     def press(self, keep_last: bool) -> None:
         """Compute the truth: the load of the press, or given tractions, and the markers' motion."""
@@ -385,6 +387,7 @@ class _Stages:
             touches=_touches(self.scene, self.state),
             facts=self._facts(errors),
             timings=self.timings,
+            cpu_s=self.cpu_s,
         )
 
     def _facts(self, errors: Mapping[str, Any]) -> dict[str, Any]:
