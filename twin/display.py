@@ -91,16 +91,26 @@ class Table:
             ) from None
         return pandas.DataFrame(self.columns())
 
-    @staticmethod
-    def of_sites(site_mm: Points, force_n: Floats, sd_force_n: Floats) -> dict[str, Any]:
-        """Return the columns of a force field by name: (k,) places, mm, forces and their standard
-        deviations, N."""
-        parts = {"{}_mm": site_mm, "f{}_n": force_n, "sd_f{}_n": sd_force_n}
+
+class ForceTable(Table):
+    """A result with forces on k sites, and a row for each of them."""
+
+    site_mm: Points
+    force_n: Points
+    sd_force_n: Floats
+
+    def columns(self) -> dict[str, Floats]:
+        """Return a row for every site: place, mm, force, N, and its standard deviation, N."""
+        parts = {"{}_mm": self.site_mm, "f{}_n": self.force_n, "sd_f{}_n": self.sd_force_n}
         return {
             name.format(axis): part[:, number]
             for name, part in parts.items()
             for number, axis in enumerate("xyz")
         }
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the forces on matplotlib axes, new ones if none are given, and return these."""
+        return plot_forces(new_axes(1, ax), self.site_mm, self.force_n, "recovered forces")
 
 
 def new_axes(count: int, ax: Any = None) -> Any:

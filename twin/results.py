@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Points
 from twin.display import (
+    ForceTable,
     Table,
     html_table,
     new_axes,
@@ -89,7 +90,7 @@ class Truth(Table):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Estimate(Table):
+class Estimate(ForceTable):
     """What the sensor's software made of the pictures (``estimate.npz``); k sites, markers in the
     truth's order.
 
@@ -130,14 +131,6 @@ class Estimate(Table):
             rows["sites"] = str(len(self.site_mm))
             rows["total force"] = vector(self.total_force_n, "N", self.sd_total_n)
         return rows
-
-    def columns(self) -> dict[str, np.ndarray]:
-        """Return a row for every site: place, mm, force, N, and its standard deviation, N."""
-        return self.of_sites(self.site_mm, self.force_n, self.sd_force_n)
-
-    def plot(self, ax: Any = None) -> Any:
-        """Draw the recovered forces on matplotlib axes, and return these."""
-        return plot_forces(new_axes(1, ax), self.site_mm, self.force_n, "recovered forces")
 
 
 @dataclass(frozen=True, kw_only=True)

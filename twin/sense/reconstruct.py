@@ -32,16 +32,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
 from types import NoneType
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.blas_threads import one_blas_thread
 from twin.display import (
-    Table,
-    new_axes,
-    plot_forces,
+    ForceTable,
     vector,
 )
 from twin.errors import InputError, require
@@ -81,7 +79,7 @@ solved serves again."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Field(Table):
+class Field(ForceTable):
     """The reconstructed force field.
 
     Attributes
@@ -161,14 +159,6 @@ class Field(Table):
         if len(np.unique(layer)) != 1 or push <= max(UNSURE * size, SIDEWAYS * along):
             return ""
         return ONE_LAYER
-
-    def columns(self) -> dict[str, Floats]:
-        """Return a row for every site: place, mm, force, N, and its standard deviation, N."""
-        return self.of_sites(self.site_mm, self.force_n, self.sd_force_n)
-
-    def plot(self, ax: Any = None) -> Any:
-        """Draw the field on matplotlib axes, new ones if none are given, and return them."""
-        return plot_forces(new_axes(1, ax), self.site_mm, self.force_n, "recovered forces")
 
 
 @one_blas_thread()

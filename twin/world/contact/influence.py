@@ -133,7 +133,7 @@ class SaddlePoint:
         return found[:n], found[n:]
 
 
-class Preconditioner(Protocol):
+class _Preconditioner(Protocol):
     """Approximate inverse of the compliance over its unit between k patches, restricted to some of
     them."""
 
@@ -168,7 +168,7 @@ class Influence(ABC):
 
     @property
     @abstractmethod
-    def _preconditioner(self) -> Preconditioner: ...
+    def _preconditioner(self) -> _Preconditioner: ...
 
     @abstractmethod
     def apply(self, force: Floats) -> Floats:
@@ -763,7 +763,7 @@ def _factored_solve(factor: Floats | None, right: Floats) -> Floats:
 class _JoinedInverse:
     """The inverses of several probes' patches, each by itself: between the patches' ``ends``."""
 
-    def __init__(self, parts: Sequence[Preconditioner], ends: Ints) -> None:
+    def __init__(self, parts: Sequence[_Preconditioner], ends: Ints) -> None:
         self._parts = parts
         self._ends = ends
 
@@ -780,7 +780,7 @@ class _JoinedInverse:
         ]
         return np.concatenate(pushes)
 
-    def _pieces(self, rows: Ints) -> list[tuple[Preconditioner, int, slice]]:
+    def _pieces(self, rows: Ints) -> list[tuple[_Preconditioner, int, slice]]:
         """Return every probe's inverse, its first patch, and its piece of the ascending
         ``rows``."""
         cuts = np.searchsorted(rows, self._ends)
@@ -839,11 +839,11 @@ class DenseInfluence(Influence):
         return np.ascontiguousarray(self._matrix[:, -1, :, -1])
 
     @cached_property
-    def _preconditioner(self) -> Preconditioner:
+    def _preconditioner(self) -> _Preconditioner:
         grids, poisson_ratio = self._of
         if not grids:
             return _BlockInverse(self._matrix, self.unit)
-        parts: list[Preconditioner] = []
+        parts: list[_Preconditioner] = []
         ends = np.cumsum([0, *map(len, grids)])
         for grid, (first, end) in zip(grids, pairwise(ends.tolist()), strict=True):
             found = _half_space_inverse(grid, poisson_ratio)
