@@ -57,6 +57,7 @@ def layout_to_files(
     scene, the sensor's design, gives names, depths and the scale. `InputError` for a picture
     without a lattice of dots, and for files or numbers that can't be used.
     """
+    # Refuse what can't be used before anything is searched.
     for option, path, suffix in (("out", out, ".toml"), ("overlay", overlay, ".png")):
         if path is not None and path.suffix.lower() != suffix:
             raise InputError(f"--{option} {path}: must end in {suffix}")
@@ -79,6 +80,7 @@ def layout_to_files(
                 f"{picture}: is {width}x{height} px, the scene's camera {drawn_px[0]}x"
                 f"{drawn_px[1]} px: mend camera.width_px and height_px (focal_px grows with them)"
             )
+    # Find the dots, and what is known of their layers in mm.
     try:
         found = find_layout(image)
     except InputError as problem:
@@ -88,6 +90,7 @@ def layout_to_files(
         if scene is not None
         else _given(found, (height, width), pitch_mm, depth_mm)
     )
+    # Write the files, and state what was found.
     files: dict[Path, bytes] = {}
     if out is not None:
         files[out] = _recipe(found, drawn, picture.name, image).encode()
@@ -96,6 +99,21 @@ def layout_to_files(
     for path, content in files.items():
         make_folder(path.parent)
         write_whole(path, content)
+    facts = _facts(found, drawn, scene)
+    if files:
+        names = list(map(str, files))
+        line, record = fact("written", ", ".join(names))
+        facts.append((line, {**record, "files": names}))
+    return facts
+
+
+_IN_A_LAYER = ("columns", "rows", "pitch_px", "diameter_px", "angle_deg")
+"""What is told of a layer's grid."""
+
+
+def _facts(found: FoundLayout, drawn: list[_Drawn], scene: Scene | None) -> list[Fact]:
+    """Return a fact for every layer, one for its pitch by the scene's camera, and one for what
+    isn't on any grid."""
     facts = [
         fact(
             name,
@@ -134,15 +152,7 @@ def layout_to_files(
     if stray:
         text = "{spots} spots on no grid (dirt, glints): rings without numbers"
         facts.append(fact("other", text, {"spots": stray}))
-    if files:
-        names = list(map(str, files))
-        line, record = fact("written", ", ".join(names))
-        facts.append((line, {**record, "files": names}))
     return facts
-
-
-_IN_A_LAYER = ("columns", "rows", "pitch_px", "diameter_px", "angle_deg")
-"""What is told of a layer's grid."""
 
 
 @dataclass(frozen=True, kw_only=True)
