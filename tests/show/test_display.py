@@ -161,6 +161,8 @@ def test_tables_need_pandas_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_run_takes_a_name_with_overrides_and_names_the_nearest(tmp_path) -> None:
     result = twin.run("first_press", {"displacement"}, overrides={"press.force_n": {"z": 1.5}})
+    assert result.cpu_s.keys() == result.timings.keys()
+    assert result.cpu_s["contact"] > 0
     np.testing.assert_allclose(result.truth.total_force_n, [0, 0, 1.5], atol=1e-9)
     with pytest.raises(twin.TwinError, match="did you mean 'first_press'"):
         twin.run("first_pres")
