@@ -97,6 +97,10 @@ _OUTWARDS, _STEP, _HALVINGS, _FOLDED = 1.5, 0.1, 8, 3.0
 is taken there, in patches; bisections; and how many times as fast as within a patch the gap grows
 at an edge. Of a smooth border it is less than twice."""
 
+_BETWEEN, _MOST_BETWEEN, _HOLDS_OFF = (4, 16), 40_000, 2.0
+"""Places along each axis of a patch at which the object's height is looked at, and in all; and over
+what width a fin narrower than a patch holds the rubber off its sides, over its height."""
+
 _BENT = {True: 0.18, False: 0.34}
 """Error of the tractions over their second differences from patch to patch, both RMS; by whether
 the probe is a ball, or a cone whose tip is rounder than a patch is wide or lies in its middle.
@@ -783,6 +787,40 @@ class _Border:
         return _ASTRAY * float(abs(off.sum()) + np.linalg.norm(off))
 
     @property
+    def _between(self) -> float:
+        """The error of the force as patches know the object's height at their middles alone: by
+        what they miss of it on average, steps and all, or by fins that no middle lies on."""
+        load, first = self.load, self.setup.first
+        along, side, _ = self._sides
+        axes = first.axes
+        pose = np.concatenate([axes @ self.state.move_mm, axes @ np.radians(self.state.turns_deg)])
+        count = int(np.clip(_MOST_BETWEEN // len(load), *_BETWEEN))
+        shares = np.concatenate([[0.0, -1.0, 1.0], (np.arange(count) + 0.5) / count - 0.5])
+        inward = np.repeat(load.frames[:, 2], len(shares), axis=0)
+        off, fin, wide = np.zeros((3, len(load)))
+        for axis in range(2):
+            way = (shares * side[:, axis, None])[..., None] * along[:, axis, None]
+            places = (load.centre_mm[:, None] + way).reshape(-1, 3)
+            overlap = -first.gap(places, inward, pose)[0].reshape(len(load), -1)
+            own, before, after = overlap[:, :3].T
+            ends = ~(overlap > 0.0).all(axis=1)  # `_sharp_ends` sees to those
+            with np.errstate(invalid="ignore"):
+                smooth = (before + after - 2.0 * own) / 24.0
+                missed = overlap[:, 3:].mean(axis=1) - own - smooth
+                peak = overlap[:, 3:].max(axis=1) - overlap[:, :3].max(axis=1)
+            off += np.where(ends, 0.0, missed)
+            # what is no narrower than half a patch shows on average
+            higher = ~ends & (peak > np.maximum(fin, 2.0 * np.abs(missed)))
+            fin[higher], wide[higher] = peak[higher], side[higher, axis]
+        area = _areas(load)
+        whole = float(area @ np.maximum(own, 0.0))
+        if whole <= 0.0:
+            return 0.0
+        on_average = abs(float(area @ off)) + float(np.linalg.norm(area * off))
+        reach = np.maximum(1.0, _HOLDS_OFF * fin / np.maximum(wide, 1e-300))
+        return max(on_average, float(area @ (fin * reach))) / whole
+
+    @property
     def _stiff_work(self) -> float:
         """E' times force times indentation, to which the squares of pressures are compared."""
         setup, state = self.setup, self.state
@@ -885,7 +923,8 @@ class _Border:
         if within:
             return _CUT_WITHIN * grown * math.pi / len(self.load)
         smooth = 1.0 - _OF_SMOOTH * self.ends_sharply**2
-        return _CUT_FREE * grown * smooth * self.by_chance + self._astray
+        cut = _CUT_FREE * grown * smooth * self.by_chance
+        return max(cut, self._between) + self._astray
 
     @property
     def traction_error(self) -> float:
