@@ -329,7 +329,9 @@ class MixedRubber:
                     break
         except (NotSettled, SolveError) as found:
             problem = found
-        harder = "material.poisson_ratio = 0.5 or " if self._softness else ""
+        harder = ""
+        if self._softness:  # a made sensor's ratio differs from the recipe's by its tolerance
+            harder = "material.poisson_ratio = 0.5 (and tolerance.poisson_ratio = 0) or "
         raise NotSettled(
             f"contact: at finite strain (material.law = {self._law_name}) Newton's steps did not "
             f"converge in {steps}: press with less force, with a larger or rounder probe "
