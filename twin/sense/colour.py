@@ -167,19 +167,11 @@ class Flaws:
         change, (column, row) = change[known], places[known].T / height
         which = layer[known][:, None] == np.unique(layer[known])
         change = change - which @ medians(np.where(which, change[:, None], np.nan))
-        # how many waves leave least, by ever smaller steps, of which the first turns ends by 1/8
         most = height / (ROWS_A_WAVE * mean_spacing(places[known]))
-        step = 0.125 / np.ptp(row)
-        tried = np.arange(2.0 * step, most, step)
-        if not len(tried):
+        number = _likeliest_wave(which, row, change, most)
+        if number is None:
             return None
-        for _ in range(3):
-            terms = [np.hstack([which, _waves(row, each, most)]) for each in tried]
-            left = [np.sum((change - one @ _bounded_fit(one, change, 1)) ** 2) for one in terms]
-            best = int(np.argmin(left))
-            number, best_terms = tried[best], terms[best]
-            step /= 4.0
-            tried = number + step * np.arange(-4, 5)
+        best_terms = np.hstack([which, _waves(row, number, most)])
         half = column < medians(column)
         for part in (half, ~half):
             off = change - best_terms @ _bounded_fit(best_terms[part], change[part])
@@ -412,12 +404,37 @@ markers show it; and the share of the change, median, that one half of the pictu
 the other's."""
 
 
-def _waves(row: Floats, number: float, most: float) -> Floats:
+def _waves(row: Floats, number: Floats | float, most: float) -> Floats:
     """Return (n, 3 or 5) a slope, a ``number`` of waves a picture, and the octave of these unless
-    it is more than ``most``, at each ``row`` (n,), in heights of the picture."""
-    phase = 2.0 * np.pi * number * row[:, None] * [1.0, 2.0]
-    phase = phase[:, : 2 if 2.0 * number < most else 1]
-    return np.hstack([row[:, None], np.cos(phase), np.sin(phase)])
+    it is more than ``most``, at each ``row`` (n,), in heights of the picture; (t, n, 3 or 5) for
+    numbers (t,) of which all or none have an octave."""
+    phase = 2.0 * np.pi * np.asarray(number)[..., None, None] * row[:, None] * [1.0, 2.0]
+    phase = phase[..., : 2 if np.all(2.0 * number < most) else 1]
+    slope = np.broadcast_to(row[:, None], (*phase.shape[:-1], 1))
+    return np.concatenate([slope, np.cos(phase), np.sin(phase)], axis=-1)
+
+
+def _likeliest_wave(which: Bools, row: Floats, change: Floats, most: float) -> float | None:
+    """Return the number of waves a picture, up to ``most``, by which least is left of ``change``
+    (n,); None where there is no such number.
+
+    It is found by ever smaller steps, of which the first turns ends by 1/8. ``which`` (n, q) tells
+    the layers, ``row`` (n,) is in heights of the picture.
+    """
+    step = 0.125 / np.ptp(row)
+    tried, number = np.arange(2.0 * step, most, step), None
+    for _ in range(3 if len(tried) else 0):
+        left = []
+        for some in np.split(tried, [np.searchsorted(2.0 * tried, most)]):
+            known = np.broadcast_to(which, (len(some), *which.shape))
+            values = np.broadcast_to(change[:, None], (len(some), len(change), 1))
+            terms = np.concatenate([known, _waves(row, some, most), values], axis=2)
+            # what is left of the last column is the last number of its triangle
+            left.append(np.abs(np.linalg.qr(terms, mode="r")[:, -1, -1]))
+        number = float(tried[np.argmin(np.concatenate(left))])
+        step /= 4.0
+        tried = number + step * np.arange(-4, 5)
+    return number
 
 
 def _bounded_fit(terms: Floats, values: Floats, turns: int = 3) -> Floats:
