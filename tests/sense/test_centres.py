@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from drawn import flat_layout
 
-from benchmarks.discs import expose, scene
+from benchmarks.discs import cover, expose, scene
 from twin.sense.centre import Look
+from twin.sense.colour import Flaws
 from twin.sense.detect import Blobs
 from twin.sense.paper_centroid import PaperCentroid
-from twin.sense.template import LANES, disc, gather
-from twin.sense.track import Tracker
+from twin.sense.shape_fit import OwnPictures
+from twin.sense.template import CENTRE, LANES, disc, gather
+from twin.sense.track import Tracker, analyse_rest
 
 
 def test_markers_wider_than_the_picture_take_no_memory() -> None:
@@ -44,7 +46,7 @@ def test_centroids_are_those_of_plain_sums_up_to_every_border(half: int) -> None
             columns = np.arange(max(column - half, 0), min(column + half, 82) + 1)
             cell = signal[np.ix_(rows, columns)]
             at = np.array([(cell.sum(axis=0) * columns).sum(), (cell.sum(axis=1) * rows).sum()]) / cell.sum()
-        np.testing.assert_allclose(centroid, at, atol=1e-3 if half == 1 else 1e-4)
+        np.testing.assert_allclose(centroid, at, rtol=1e-12)
 
 
 def test_an_empty_cell_and_an_unknown_place_show_nothing() -> None:
@@ -97,3 +99,49 @@ def test_markers_lead_those_after_them():
     led, alone = (group.templates.fit(image, group.start_px, lead)[:, :2] for lead in (group.around.lead, None))
     np.testing.assert_allclose(led, goal, atol=0.06)
     assert (np.abs(alone - goal) < 0.06).all(axis=1).mean() < 0.8
+
+
+@pytest.mark.parametrize("size", [(40, 30), (41, 31), (2, 1)])
+@pytest.mark.parametrize("first", [(0, 0), (1, 0), (1, 1)])
+def test_repeated_colours_are_those_of_plain_shares(size, first):
+    """Of the four pixels that meet at a corner of blocks: 9, 3, 3 and 1 sixteenth of the colour."""
+    picture = np.random.default_rng(1).integers(0, 256, (*size, 3), dtype=np.uint8)
+    mended = Flaws(blocks=first, bad=(np.zeros(0, int),) * 3).mended(picture)
+    bright = (picture.astype(int) @ [77, 150, 29] >> 8)[..., None]
+    colour = picture - bright
+    for axis, begin in enumerate(first[::-1]):
+        place = np.arange(size[axis])
+        beside = np.clip(place + np.where((place - begin) % 2, 1, -1), 0, size[axis] - 1)
+        colour = 3 * colour + np.take(colour, beside, axis)
+    np.testing.assert_array_equal(mended, np.clip(bright + (colour + 8 >> 4), 0, 255))
+
+
+def test_rough_dots_are_fitted_each_by_itself():
+    """All took the steps of the one that settled last: three in five were in vain."""
+    random, marks = np.random.default_rng(2), 20.0 + 30.0 * np.mgrid[0:5, 0:2].reshape(2, -1).T
+    waves = random.normal(0.0, 0.05, (len(marks), 5, 2))
+
+    def drawn(moved, seed):
+        def rough(dx, dy, x, y):
+            marker = int(np.hypot(*(moved - [x, y]).T).argmin())
+            turns = np.exp(1j * np.arange(3, 8) * np.arctan2(dy, dx)[..., None])
+            return np.hypot(dx, dy) < 7.0 * (1 + turns.real @ waves[marker, :, 0] + turns.imag @ waves[marker, :, 1])
+
+        grey = 190.0 - 140.0 * cover((160, 70), moved, 22.0, 0.8, rough)
+        return expose(np.repeat(grey[..., None], 3, axis=2), seed)
+
+    (group,) = analyse_rest(drawn(marks, 1), {"dots": marks}).groups
+    own, templates = group.pictures, group.templates
+    picture = drawn(marks + random.uniform(-1.0, 1.0, marks.shape), 2)
+    fitted = templates.fit(picture, templates.rest[:, CENTRE].copy())
+    fitted[0, CENTRE] += 3.0  # takes more steps
+    assert len(own.rows) == len(marks)
+
+    def centres(some):
+        terms = [of_blur[some] for of_blur in own.terms]
+        part = OwnPictures(rows=own.rows[some], place=own.place[some], use=own.use[some], terms=terms)
+        part.fit(picture, templates, found := fitted.copy(), group.around)
+        return found[own.rows[some], CENTRE]
+
+    alone = np.concatenate([centres(slice(k, k + 1)) for k in range(len(marks))])
+    np.testing.assert_allclose(centres(slice(None)), alone, rtol=0.0, atol=1e-9)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -422,7 +423,8 @@ def _likeliest_wave(which: Bools, row: Floats, change: Floats, most: float) -> f
     the layers, ``row`` (n,) is in heights of the picture.
     """
     step = 0.125 / np.ptp(row)
-    tried, number = np.arange(2.0 * step, most, step), None
+    tried: Floats = np.arange(2.0 * step, most, step)
+    number = None
     for _ in range(3 if len(tried) else 0):
         left = []
         for some in np.split(tried, [np.searchsorted(2.0 * tried, most)]):
@@ -430,7 +432,8 @@ def _likeliest_wave(which: Bools, row: Floats, change: Floats, most: float) -> f
             values = np.broadcast_to(change[:, None], (len(some), len(change), 1))
             terms = np.concatenate([known, _waves(row, some, most), values], axis=2)
             # what is left of the last column is the last number of its triangle
-            left.append(np.abs(np.linalg.qr(terms, mode="r")[:, -1, -1]))
+            triangle = np.asarray(np.linalg.qr(terms, mode="r"))
+            left.append(np.abs(triangle[:, -1, -1]))
         number = float(tried[np.argmin(np.concatenate(left))])
         step /= 4.0
         tried = number + step * np.arange(-4, 5)
@@ -484,27 +487,24 @@ DARK_DN = 24
 Nor do those that are all of one level."""
 
 
-@njit(cache=True)
-def _share_repeated(before, picture, begin):
+def _share_repeated(before: Picture, picture: Picture, begin: int) -> float:
     """Return the share of the blocks from row and column ``begin`` on, but dark and even ones, that
     are the same in both pictures."""
-    same, other = 0, 0
-    for row in range(begin, picture.shape[0] - BLOCK + 1, BLOCK):
-        for column in range(begin, picture.shape[1] - BLOCK + 1, BLOCK):
-            alike, even, highest = True, True, 0
-            for y in range(row, row + BLOCK):
-                for x in range(column, column + BLOCK):
-                    for channel in range(3):
-                        value = picture[y, x, channel]
-                        highest = max(highest, value)
-                        even = even and value == picture[row, column, channel]
-                        alike = alike and value == before[y, x, channel]
-                if not alike and highest > DARK_DN:
-                    break
-            if highest > DARK_DN:
-                same += alike and not even
-                other += not alike
-    return same / max(same + other, 1)
+    height, width = picture.shape[:2]
+    rows, columns = (height - begin) // BLOCK, (width - begin) // BLOCK
+    part = slice(begin, begin + rows * BLOCK), slice(begin, begin + columns * BLOCK)
+
+    def in_blocks(values: NDArray[Any]) -> NDArray[Any]:
+        return values.reshape(rows, BLOCK, columns, 3 * BLOCK)
+
+    # rows of blocks first, as whole rows of pixels are for the vector unit
+    now, then = picture[part], before[part]
+    bright = in_blocks(now).max(axis=1).max(axis=2) > DARK_DN
+    changed = np.any(in_blocks(np.not_equal(now, then)).any(axis=1), axis=2)
+    row, column = np.nonzero(bright & ~changed)
+    alike = in_blocks(now)[row, :, column].reshape(len(row), BLOCK * BLOCK, 3)
+    same = int(np.count_nonzero((alike != alike[:, :1]).any(axis=(1, 2))))
+    return same / max(same + int(np.count_nonzero(bright & changed)), 1)
 
 
 STANDS_OUT, LEAST_STAND_DN = 8.0, 12.0
@@ -571,16 +571,43 @@ def _interpolate_colours(picture: Picture, blocks: tuple[int, int]) -> Picture:
 
     Why: steps every other pixel look like edges, and move a marker's by up to .3 px.
     """
-    levels = picture.astype(np.int16)
-    weights: Ints = np.rint(256 * LUMA).astype(np.int64)
-    bright = (levels @ weights >> 8).astype(np.int16)[:, :, None]
-    colour = levels - bright
-    for axis, begin in ((1, blocks[0]), (0, blocks[1])):
-        count = picture.shape[axis]
-        place = np.arange(count)
-        beside = np.clip(place + np.where((place - begin) % 2 == 0, -1, 1), 0, count - 1)
-        colour = 3 * colour + np.take(colour, beside, axis=axis)
-    return np.clip(bright + (colour + 8 >> 4), 0, 255).astype(np.uint8)
+    levels, weights = picture.astype(np.uint8, copy=False), np.rint(256 * LUMA).astype(np.int64)
+    out = np.empty_like(levels)
+    _interpolate(levels, weights, *blocks, out)
+    return out
+
+
+@njit(cache=True)
+def _interpolate(picture, weights, first_column, first_row, out):
+    """Fill ``out`` with the brightness, and with colours between the four blocks that meet at a
+    corner: of each block's pixel there 9/16 of its own, 3/16 of those beside, 1/16 across."""
+    height, width = picture.shape[0], picture.shape[1]
+    flat, filled = picture.reshape(-1), out.reshape(-1)
+    bright, colour = np.empty((2, width), np.int32), np.empty(3 * width, np.int32)
+    mixed = np.empty((2, 3 * width), np.int32)
+    red, green, blue = weights
+    for top in range(first_row - 1, height, 2):  # two rows that meet
+        rows = (max(top, 0), min(top + 1, height - 1))
+        for k in range(2):
+            line = flat[3 * rows[k] * width : 3 * (rows[k] + 1) * width]
+            for x in range(width):
+                r, g, b = line[3 * x], line[3 * x + 1], line[3 * x + 2]
+                bright[k, x] = red * r + green * g + blue * b >> 8
+            for x in range(width):
+                for i in range(3):
+                    colour[3 * x + i] = line[3 * x + i] - bright[k, x]
+            for left in range(first_column - 1, width, 2):
+                one, other = 3 * max(left, 0), 3 * min(left + 1, width - 1)
+                for i in range(3):
+                    mixed[k, one + i] = 3 * colour[one + i] + colour[other + i]
+                    mixed[k, other + i] = 3 * colour[other + i] + colour[one + i]
+        for k in range(2):
+            line = filled[3 * rows[k] * width : 3 * (rows[k] + 1) * width]
+            for x in range(width):
+                for i in range(3):
+                    own, other = mixed[k, 3 * x + i], mixed[1 - k, 3 * x + i]
+                    value = bright[k, x] + (3 * own + other + 8 >> 4)
+                    line[3 * x + i] = min(max(value, 0), 255)
 
 
 def project(image: Picture, weights: Weights, floor_dn: float = -np.inf) -> Signal:

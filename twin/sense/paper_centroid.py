@@ -11,7 +11,6 @@ rest picture moves against itself (`PaperCentroid.drift_px`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -69,31 +68,49 @@ class PaperCentroid(CentreEstimator):
     ) -> Pixels:
         """Return the (n, 2) centroids of square cells of side ``cell_px`` around ``start_px``, px;
         NaN where a cell's brightest pixel stays below the contrast, a test that the paper lacks."""
-        out = np.empty((len(start_px), 2))
+        out = np.full((len(start_px), 2), np.nan)
+        known = np.isfinite(start_px).all(axis=1)
         colour = (*map(float, look.weights), float(look.ground_dn))
         half = max(1, round(cell_px / 2))
-        _cell_centroids(picture, colour, start_px, half, look.contrast_dn, passes, out)
+        places = start_px.copy()
+        known &= _cell_centroids(picture, colour, half, look.contrast_dn, passes, known, places)
+        out[known] = places[known]
         return out
 
 
-@njit(cache=True)  # not fastmath, which takes NaN for a number
-def _cell_centroids(image, colour, start, half, least, passes, out):
-    """Fill ``out`` (n, 2) with the centroids of the positive signal in the cells."""
+@njit(cache=True, fastmath=True)
+def _cell_centroids(image, colour, half, least, passes, known, place):
+    """Move each ``place`` (n, 2) that is ``known`` to the centroid of the positive signal in the
+    cell around it; return (n,) where there is one. What is not known is no number of fast
+    arithmetic, and left alone."""
     height, width = image.shape[0], image.shape[1]
     red, green, blue, ground = colour
-    for k in range(len(start)):
-        x, y = start[k, 0], start[k, 1]
-        for _ in range(passes):
+    flat, value, found = image.reshape(-1), np.empty(2 * half + 1), known.copy()
+    for k in range(len(place)):
+        column, row = 0, 0
+        for turn in range(passes if known[k] else 0):
+            before_column, before_row = column, row
+            column, row = int(np.rint(place[k, 0])), int(np.rint(place[k, 1]))
+            if turn > 0 and column == before_column and row == before_row:
+                break  # the same cell again
+            left, right = max(column - half, 0), min(column + half, width - 1)
             mass, sx, sy, highest = 0.0, 0.0, 0.0, 0.0
-            if math.isfinite(x) and math.isfinite(y):
-                column, row = int(np.rint(x)), int(np.rint(y))
-                for j in range(max(row - half, 0), min(row + half, height - 1) + 1):
-                    for i in range(max(column - half, 0), min(column + half, width - 1) + 1):
-                        r, g, b = image[j, i, 0], image[j, i, 1], image[j, i, 2]
-                        value = max(red * r + green * g + blue * b - ground, 0.0)
-                        mass += value
-                        sx += i * value
-                        sy += j * value
-                        highest = max(highest, value)
-            x, y = (sx / mass, sy / mass) if mass > 0 and highest >= least else (np.nan, np.nan)
-        out[k, 0], out[k, 1] = x, y
+            for j in range(max(row - half, 0), min(row + half, height - 1) + 1):
+                pixels = flat[3 * (j * width + left) : 3 * (j * width + right + 1)]
+                for i in range(right - left + 1):
+                    light = (
+                        red * pixels[3 * i] + green * pixels[3 * i + 1] + blue * pixels[3 * i + 2]
+                    )
+                    value[i] = max(light - ground, 0.0)
+                line = 0.0
+                for i in range(right - left + 1):
+                    line += value[i]
+                    sx += i * value[i]
+                    highest = max(highest, value[i])
+                mass += line
+                sy += j * line
+            if mass <= 0.0 or highest < least:
+                found[k] = False
+                break
+            place[k, 0], place[k, 1] = left + sx / mass, sy / mass
+    return found

@@ -639,9 +639,9 @@ COARSE, TURNS_OF_WARP = (0.2, 0.07, 0.0), (12, 8, 12, 8)
 """Blur, over the radius, by which pictures are compared first: edges that strain has moved by less
 are found. Most steps with each, and then with slopes of light that neighbours show."""
 
-LEAST_WARP_PX, LARGEST_WARP, LARGEST_STEP = 1e-3, 1.6, (0.15, 0.3)
-"""The fit's last step; by which factor a marker may be longer or shorter; a step's most stretch,
-and most motion over the radius."""
+LEAST_WARP_PX, LARGEST_WARP, LARGEST_STEP = (0.02, 0.02, 1e-3, 1e-3), 1.6, (0.15, 0.3)
+"""A marker's last step with each of these; by which factor it may be longer or shorter; a step's
+most stretch, and most motion over the radius."""
 
 NORMAL_MEDIAN = 0.455
 """Median of the square of a normal number, over its variance."""
@@ -768,6 +768,8 @@ class OwnPictures:
         unlit: Floats | float = 0.0
         most_stretch, most_moved = LARGEST_STEP
         step, inverse = radius.copy(), np.zeros((len(rows), 11, 11))
+        aside, scale = self.place - rest[:, None, CENTRE], np.ones((len(rows), 1))
+        use, (left, trust) = np.zeros_like(self.use), np.zeros((2, *self.use.shape))
         views, shown = _views(picture, templates)
         finest = (views[-1], self.terms[-1])
         for stage, (view, terms) in enumerate([*zip(views, self.terms, strict=True), finest]):
@@ -783,35 +785,41 @@ class OwnPictures:
                 light[:, 2:4] = light[:, 1:2] * slope[rows]
                 unsure = light[:, 1] * off[rows] / around.spacing_px
                 unlit = (by_slope**2).sum(axis=2) * unsure[:, None] ** 2
-            knots = spline_filter(view)
+            if not held:
+                knots = spline_filter(view)
+            go = np.arange(len(rows))  # those that have not settled
             for _ in range(TURNS_OF_WARP[stage]):
-                place = (self.place - rest[:, None, CENTRE]) @ warp.swapaxes(1, 2) + centre[:, None]
-                use = self.use & _pixels(shown, np.rint(place).astype(np.int64))[0]
+                place = aside[go] @ warp[go].swapaxes(1, 2) + centre[go, None]
+                counts = self.use[go] & _pixels(shown, np.rint(place).astype(np.int64))[0]
                 at = place.transpose(2, 0, 1)[::-1]
-                left = map_coordinates(knots, at, prefilter=False, mode="nearest")
-                left -= (terms[:, :, 6:] @ light[:, :, None])[:, :, 0]
+                off_by = map_coordinates(knots, at, prefilter=False, mode="nearest")
+                by = terms[go].astype(float)
+                off_by -= (by[:, :, 6:] @ light[go, :, None])[:, :, 0]
                 # what noise explains, by most pixels; in the first steps that the place is wrong
-                scale = np.fmax(_medians(left**2 / noise, use) / NORMAL_MEDIAN, 1.0)[:, None]
-                limit = OUTLIER_SD**2 * (scale * noise + (IMPERFECT * level) ** 2)
-                limit += (0.5 * level * np.fmin(step, 2.0)[:, None]) ** 2
-                trust = use / (1.0 + left**2 / limit) ** 2
-                weighted = (terms * trust[:, :, None]).swapaxes(1, 2)
-                matrix, right = weighted @ terms.astype(float), weighted @ left[:, :, None]
+                usual = _medians(off_by**2 / noise[go], counts) / NORMAL_MEDIAN
+                scale[go] = np.fmax(usual, 1.0)[:, None]
+                limit = OUTLIER_SD**2 * (scale[go] * noise[go] + (IMPERFECT * level[go]) ** 2)
+                limit += (0.5 * level[go] * np.fmin(step[go], 2.0)[:, None]) ** 2
+                believed = counts / (1.0 + off_by**2 / limit) ** 2
+                use[go], left[go], trust[go] = counts, off_by, believed
+                weighted = (by * believed[:, :, None]).swapaxes(1, 2)
+                matrix, right = weighted @ by, weighted @ off_by[:, :, None]
                 if held:
                     matrix[:, [8, 9]] = matrix[:, :, [8, 9]] = right[:, [8, 9]] = 0.0
                     matrix[:, [8, 9], [8, 9]] = 1.0
                 size = np.sqrt(matrix.diagonal(axis1=1, axis2=2))[:, :, None] + 1e-9
-                inverse = np.linalg.inv(matrix / (size * size.swapaxes(1, 2)) + 1e-9 * np.eye(11))
-                inverse /= size * size.swapaxes(1, 2)
-                change = (inverse @ right)[:, :, 0]
+                size = size * size.swapaxes(1, 2)
+                inverse[go] = np.linalg.inv(matrix / size + 1e-9 * np.eye(11)) / size
+                change = (inverse[go] @ right)[:, :, 0]
                 grown = np.clip(change[:, [[1, 2], [4, 5]]], -most_stretch, most_stretch)
-                limit = most_moved * radius[:, None]
+                limit = most_moved * radius[go, None]
                 moved = np.clip(change[:, [0, 3]], -limit, limit)
-                warp = warp @ np.linalg.inv(np.eye(2) + grown)
-                centre -= (warp @ moved[:, :, None])[:, :, 0]
-                light += change[:, 6:]
-                step = np.hypot(*moved.T) + radius * np.abs(grown).max(axis=(1, 2))
-                if step.max() < LEAST_WARP_PX:
+                warp[go] = warp[go] @ np.linalg.inv(np.eye(2) + grown)
+                centre[go] -= (warp[go] @ moved[:, :, None])[:, :, 0]
+                light[go] += change[:, 6:]
+                step[go] = np.hypot(*moved.T) + radius[go] * np.abs(grown).max(axis=(1, 2))
+                go = go[step[go] >= LEAST_WARP_PX[stage]]
+                if not len(go):
                     break
         slope_x, slope_y = terms[:, :, 0], terms[:, :, 3]
         edge = slope_x**2 + slope_y**2
