@@ -12,7 +12,8 @@ from twin.errors import InputError
 from twin.parts.press import Press, Sphere, Step
 from twin.theory.contact import hertz
 from twin.theory.relaxation import Relaxation
-from twin.world.contact import load_step
+from twin.world.contact import load_step, pressing
+from twin.world.contact.pressing import PathMemory
 
 RUBBER = Relaxation(np.array([0.2, 0.1]), np.array([0.3, 2.0]))
 DEPTH, RAMP = 0.1, 0.5
@@ -155,6 +156,29 @@ def test_relaxation_alone_asks_for_parts_without_friction(monkeypatch):
     assert ten < 4 * once  # 25, as the whole step is solved first; 61 with parts for new patches
     assert same == pytest.approx(along, rel=5e-4)
     assert needed(*[moved(DEPTH / 10, 1e-4 * RAMP)] * 10)[1] <= once + 10
+
+
+def test_one_grid_is_sought_for_the_hardest_of_the_pushes_that_follow_each_other(monkeypatch):
+    sought = []
+    seek = pressing.closed_form_contact
+    monkeypatch.setattr(pressing, "closed_form_contact", lambda *of: sought.append(of) or seek(*of))
+
+    def grids(*steps, memory=None):
+        sought.clear()
+        state = pressed(ball(40, steps=steps), across=8, relaxation=RUBBER, memory=memory)
+        return len(sought), state
+
+    rising = [push(0.05 * (1 + number), seconds=0.2) for number in range(4)]
+    count, at_once = grids(*rising)
+    assert count == 1
+    assert grids(*rising, push(0.1, seconds=0.1), push(0.15, seconds=0.1))[0] == 1
+    # a motion counts from where the force before it has led
+    assert grids(*rising, push(0.1, seconds=0.1), moved(0.01, 0.1))[0] == 3
+    assert grids(moved(0.05, 0.1), moved(0.05, 0.1), moved(-0.02, 0.1))[0] == 1
+    memory = PathMemory()
+    for number in range(len(rising)):
+        _, step_by_step = grids(*rising[: number + 1], memory=memory)
+    assert np.array_equal(step_by_step.traction_mpa, at_once.traction_mpa)
 
 
 def test_a_dent_recovers_and_is_felt_by_the_next_touch():

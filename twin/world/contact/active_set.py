@@ -47,6 +47,9 @@ _MET = 1e-10
 """Largest opening of a patch in contact over the largest displacement; its gap is computed again
 after every step."""
 
+_FEW = 180
+"""Patches in contact up to which elimination is faster than iteration."""
+
 _FELT = 1e-9
 _ALL_AT_ONCE, _LETTING_GO, _PULLS_FIRST, _ONE_BY_ONE = range(4)
 
@@ -277,7 +280,9 @@ def _normal_forces(push: Floats) -> Floats:
     return force
 
 
-def solve(problem: UnilateralProblem, active: Bools, pose: Floats) -> Equilibrium:
+def solve(
+    problem: UnilateralProblem, active: Bools, pose: Floats, force_n: Floats | None = None
+) -> Equilibrium:
     """Find the patches in contact, their forces and the probe's pose.
 
     Parameters
@@ -288,6 +293,8 @@ def solve(problem: UnilateralProblem, active: Bools, pose: Floats) -> Equilibriu
         (k,) first guess of the patches in contact.
     pose
         (m,) first guess of the pose.
+    force_n
+        (k, 3) first guess of the forces, where nothing sticks. Default: none.
 
     Raises
     ------
@@ -297,23 +304,28 @@ def solve(problem: UnilateralProblem, active: Bools, pose: Floats) -> Equilibriu
     """
     k = len(active)
     stiffness = 1.0 / problem.influence.own
-    force = np.zeros((k, 3))
-    sunk = np.zeros(k)
     pose = np.where(problem.by_force, pose, problem.given)
     seen: set[bytes] = set()
     mode = _ALL_AT_ONCE
     released = np.zeros(k, bool)
     left = np.inf
     smooth = not problem.sticking.any()
+    force = np.zeros((k, 3))
+    sunk = np.zeros(k)
+    if smooth and force_n is not None:
+        force = _normal_forces(force_n[:, 2])
+        sunk = problem.influence.normal_displacement(force[:, 2])
     exact = not smooth
     gap, slope = problem.gap(pose)
     for step in range(1, _STEPS + 1):
         active = active & np.isfinite(gap)
         active[problem.apart(active, gap)] = True
         if active.any():
-            found = _iterated(
-                problem, active, force, sunk, pose, gap, slope, _HELD if exact else _NEARER
-            )
+            found = None
+            if np.count_nonzero(active) > _FEW:
+                found = _iterated(
+                    problem, active, force, sunk, pose, gap, slope, _HELD if exact else _NEARER
+                )
             force, pose = found or _linear_solve(problem, active, pose, gap, slope)
         else:
             force = np.zeros((k, 3))

@@ -1,8 +1,8 @@
 """Rigid probes press a body along a path: from the press's description to forces on the surface.
 
 `press` checks the description and takes the path. Without friction every state depends on the
-poses alone, and each step has grids of its own. With friction one grid serves the whole path
-(`twin.world.contact.load_step`); under a flat face that slides it goes along.
+poses alone, and each step has grids of its own. With friction, or in time, one grid serves the
+whole path (`twin.world.contact.load_step`); under a flat face that slides it goes along.
 
 Validity: linear elasticity, small turns and slopes; forces act along the normals of the undeformed
 surface. Every state has a measure of how far it strains that.
@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import accumulate
+from itertools import accumulate, zip_longest
 
 import numpy as np
 
@@ -165,47 +165,41 @@ _SLIDE_WIDTHS = 8.0
 @dataclass(frozen=True, kw_only=True)
 class _Reach:
     """How far one probe's contact reached by a step: the plane of its grid, along its first
-    contact, the box (none yet: None), the place (6,), and the way sideways (2,)."""
+    contact, the box (none yet: None), the place (6,), and the way sideways (2,).
+
+    A contact that a harder push of the same kind holds is not sought: ``hardest`` is the last one
+    that was. ``known`` keeps what was sought for longer paths.
+    """
 
     plane: Plane
     touch_z: float
+    known: dict[bytes, tuple[Plane, Box, Floats]]
     box: Box | None = None
     pose: Floats = field(default_factory=lambda: np.zeros(MOTIONS))
     sideways: Floats = field(default_factory=lambda: np.zeros(2))
+    hardest: Control | None = None
 
-    def after(self, programme: LoadProgramme, number: int, step: Control) -> _Reach:
-        """Return it after a step, pressed without friction where the probe slides to.
-
-        A probe with friction on a slope carries part of a force along z by friction: its normal
-        force is F n_z, for which a frictionless one that is held sideways needs F n_z^2 along z.
-        """
+    def after(
+        self, programme: LoadProgramme, number: int, step: Control, following: Control | None
+    ) -> _Reach:
+        """Return it after a step, pressed without friction where the probe slides to."""
         setup = programme.setups[number]
         own = step.of_probe(number)
-        control = _counted_from(own, self.pose)
         if self.box is not None and _only_leaves(step, number):
-            return replace(self, pose=control.given)
-        sideways = self.sideways + np.where(control.by_force, 0.0, own.given)[:Z]
-        push = control.given[Z]
-        if control.by_force[Z]:
-            push *= float(self.plane.axes[2] @ setup.first.axes[2]) ** 2
-            if programme.relaxation is not None:
-                push *= programme.relaxation.creep(step.time_s)
-        turned = np.where(control.by_force, 0.0, control.given)
-        turned[[X, Y, TURN]] = 0.0
-        along_z = np.arange(MOTIONS) == Z
-        still = Control(by_force=control.by_force & along_z, given=np.where(along_z, push, turned))
+            return replace(self, pose=_counted_from(own, self.pose).given)
+        sideways = self.sideways + _aside(own)
+        still = self._straight(programme, number, step)
         plane, touch_z = self.plane, self.touch_z
-        if turned[ABOUT_X:].any() and isinstance(setup.probe, Sphere | Cone):  # it rolls
-            there, touch_z = setup.first_touch(turned)
-            plane = replace(plane, origin_mm=there.origin_mm)
+        if still.given[ABOUT_X:].any() and isinstance(setup.probe, Sphere | Cone):  # it rolls
+            under, touch_z = setup.first_touch(still.given)
+            plane = replace(plane, origin_mm=under.origin_mm)
         if _is_lifted(still, touch_z):
             pose = _lifted_place(still, self.pose, touch_z)
             return replace(self, pose=pose, sideways=sideways)
-        start = setup, still, self.pose, plane, touch_z
-        disc = closed_form_contact(*start)
-        plane, contact, pose = (
-            (plane, *disc) if disc else find_contact(*start, may_turn=self.box is None)
-        )
+        there = replace(self, pose=np.where(still.by_force, self.pose, still.given))
+        if not sideways.any() and there._is_held(programme, number, still, following):
+            return there
+        plane, contact, pose = self._sought(setup, still, plane, touch_z)
         u, v = plane.axes[:2] @ (plane.origin_mm - self.plane.origin_mm)
         plane = replace(plane, origin_mm=self.plane.origin_mm)
         grip_mm = float(programme.friction[number]) * (float(pose[Z]) - touch_z)
@@ -213,7 +207,61 @@ class _Reach:
             contact = contact.moved(u, v)
         contact = contact.joined(_slid(setup, contact, sideways, grip_mm, plane))
         box = contact if self.box is None else self.box.joined(contact)
-        return replace(self, plane=plane, box=box, pose=pose, sideways=sideways)
+        return replace(self, plane=plane, box=box, pose=pose, sideways=sideways, hardest=still)
+
+    def _straight(self, programme: LoadProgramme, number: int, step: Control) -> Control:
+        """Return how a step presses without friction, held sideways.
+
+        A probe with friction on a slope carries part of a force along z by friction: its normal
+        force is F n_z, for which a frictionless one that is held sideways needs F n_z^2 along z.
+        """
+        control = _counted_from(step.of_probe(number), self.pose)
+        push = control.given[Z]
+        if control.by_force[Z]:
+            push *= float(self.plane.axes[2] @ programme.setups[number].first.axes[2]) ** 2
+            if programme.relaxation is not None:
+                push *= programme.relaxation.creep(step.time_s)
+        turned = np.where(control.by_force, 0.0, control.given)
+        turned[[X, Y, TURN]] = 0.0
+        along_z = np.arange(MOTIONS) == Z
+        return Control(by_force=control.by_force & along_z, given=np.where(along_z, push, turned))
+
+    def _is_held(
+        self, programme: LoadProgramme, number: int, still: Control, following: Control | None
+    ) -> bool:
+        """Return whether a step's contact lies within one that was sought, or the next step's, and
+        no motion counts from where it ends under a force."""
+        harder = [self.hardest]
+        if following is not None:
+            own = following.of_probe(number)
+            if still.by_force[Z] and not own.by_force[Z]:
+                return False
+            if not _aside(own).any():
+                harder.append(self._straight(programme, number, following))
+        return any(
+            one is not None
+            and np.array_equal(one.by_force, still.by_force)
+            and np.array_equal(np.delete(one.given, Z), np.delete(still.given, Z))
+            and one.given[Z] >= still.given[Z]
+            for one in harder
+        )
+
+    def _sought(
+        self, setup: ProbeSetup, still: Control, plane: Plane, touch_z: float
+    ) -> tuple[Plane, Box, Floats]:
+        may_turn = self.box is None
+        told = still.by_force, still.given, plane.origin_mm, plane.axes, [may_turn, touch_z]
+        key = b"".join(np.asarray(each, float).tobytes() for each in told)
+        if key not in self.known:
+            start = setup, still, self.pose, plane, touch_z
+            disc = closed_form_contact(*start)
+            self.known[key] = (plane, *disc) if disc else find_contact(*start, may_turn=may_turn)
+        return self.known[key]
+
+
+def _aside(own: Control) -> Floats:
+    """Return (2,) how far a step moves a probe sideways."""
+    return np.asarray(np.where(own.by_force, 0.0, own.given)[:Z])
 
 
 def _only_leaves(step: Control, number: int) -> bool:
@@ -307,7 +355,7 @@ class PathMemory:
         self._in_time = False
         self.states: list[ContactState] = []
         self.strained: list[tuple[ContactState, ContactState]] = []
-        self.reaches: list[_Reach] = []  # of every probe
+        self.sought: list[dict[bytes, tuple[Plane, Box, Floats]]] = []  # of every probe
         self.tried: list[_OnGrid] = []  # with friction or in time: the last one held the contact
         self.pose: Floats | None = None  # without friction
 
@@ -339,12 +387,14 @@ def _frictional_path(
     """Take the whole path, with friction or in time, on one grid; return the states, and why it
     stopped before its end, if it did."""
     # Where the probes reach, and the grid for that.
-    reaches = memory.reaches or [
-        _Reach(plane=plane, touch_z=touch_z)
-        for plane, touch_z in (s.first_touch(np.zeros(MOTIONS)) for s in programme.setups)
-    ]
-    for step in programme.steps[len(memory.states) :]:
-        reaches = [one.after(programme, number, step) for number, one in enumerate(reaches)]
+    memory.sought = memory.sought or [{} for _ in programme.setups]
+    reaches = []
+    for number, setup in enumerate(programme.setups):
+        plane, touch_z = setup.first_touch(np.zeros(MOTIONS))
+        reach = _Reach(plane=plane, touch_z=touch_z, known=memory.sought[number])
+        for step, following in zip_longest(programme.steps, programme.steps[1:]):
+            reach = reach.after(programme, number, step, following)
+        reaches.append(reach)
     planes = [one.plane for one in reaches]
     boxes: list[Box] = []
     for setup, reach in zip(programme.setups, reaches, strict=True):
@@ -369,7 +419,6 @@ def _frictional_path(
         tried.append(one)
         if not _outgrown(boxes, one.grid.contacts, one.reached):
             if not one.reason:
-                memory.reaches = reaches
                 memory.tried = tried
             return one.path, one.reason
     raise _grid_error(programme.setups[0], boxes[0])
