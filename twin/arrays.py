@@ -1,4 +1,5 @@
-"""Array aliases with their axes and units, and the type of a progress callback.
+"""Arrays: aliases with their axes and units, what is often done with them (read-only, grids,
+medians, spacing), and the type of a progress callback.
 
 All coordinates are in the body frame: origin at the centre (block) or apex (finger) of the outer
 sensing surface, right-handed, z into the body. Pixels are (column, row) with (0, 0) at the centre
