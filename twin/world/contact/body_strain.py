@@ -16,8 +16,8 @@ Triangles (STL probes, objects) are replaced by smooth splines around the contac
 don't settle on normals that jump. Without friction a probe that motions turn is as one that was
 tilted.
 
-Validity: rigid probes, tilted or not, pressed along their ways without friction on a block, a
-finger or a dome, triangles where they are smooth, several by forces; with one coefficient of
+Validity: rigid probes, tilted or not, pressed along their ways without friction on any body,
+triangles of probes where they are smooth, several by forces; with one coefficient of
 friction where forces press them, moved sideways and turned about their ways, or spheres that roll,
 flat faces while a part of them sticks; nu from 0.44.
 """
@@ -34,7 +34,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Points
 from twin.errors import InputError, NotSettled
-from twin.parts.body import Block, Body, Dome, Finger
+from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.press import Cone, Cylinder, Object, Pillar, Press, Probe, Sphere, Stl
@@ -649,13 +649,11 @@ def _too_slow(press: Press, body: Body) -> str:
     if press.friction > 0.0:
         return f"press.friction = {press.friction:g}: such a press takes about 3 s"
     single = not press.also and isinstance(press.probe, Sphere)
-    return "" if single and not isinstance(body, Block) else "such a press takes 3 to 20 s"
+    return "" if single and not body.is_flat else "such a press takes 3 to 20 s"
 
 
 def _unsolved(press: Press, body: Body, material: Material) -> str:
     """Return why a press isn't solved on a whole body, and what is; empty if it is."""
-    if not isinstance(body, Block | Finger | Dome):
-        return f"body.shape = {body.geometry()['shape']}: blocks, fingers, domes are solved"
     if material.poisson_ratio < LEAST_POISSON:
         return f"material.poisson_ratio: as made below {LEAST_POISSON:g}, from which it is solved"
     for one in (press, *press.also):
