@@ -427,7 +427,8 @@ def _likeliest_wave(which: Bools, row: Floats, change: Floats, most: float) -> f
     number = None
     for _ in range(3 if len(tried) else 0):
         left = []
-        for some in np.split(tried, [np.searchsorted(2.0 * tried, most)]):
+        parts = np.split(tried, [np.searchsorted(2.0 * tried, most)])
+        for some in (part for part in parts if len(part)):
             known = np.broadcast_to(which, (len(some), *which.shape))
             values = np.broadcast_to(change[:, None], (len(some), len(change), 1))
             terms = np.concatenate([known, _waves(row, some, most), values], axis=2)

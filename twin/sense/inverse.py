@@ -82,7 +82,7 @@ def _automatic(seen: Factors.Spectrum) -> float:
     An even prior does not expect a press concentrated in few sites, so either rule smooths too
     little, not in the same cases (``python -m benchmarks inverse``).
     """
-    return max(LIKELY * _most_likely(seen), _cross_validated(seen))
+    return max(LIKELY * seen.likely, _cross_validated(seen))
 
 
 def _most_likely(seen: Factors.Spectrum) -> float:
@@ -135,7 +135,7 @@ def _least(objective: Callable[[Floats], Floats], seen: Factors.Spectrum) -> flo
 
 RULES: dict[WeightRule, Callable[[Factors.Spectrum], float]] = {
     "auto": _automatic,
-    "likelihood": _most_likely,
+    "likelihood": lambda seen: seen.likely,
     "gcv": _cross_validated,
 }
 """By name, from a spectrum to the whitened weight."""
@@ -184,6 +184,11 @@ class Factors:
         def outside(self) -> float:
             """`rest`, with a round-off floor."""
             return self.rest + 1e-20 * (float(self.energy.sum()) + self.rest)
+
+        @cached_property
+        def likely(self) -> float:
+            """The most likely weight, whitened, which several rules start from."""
+            return _most_likely(self)
 
     left: Floats
     singular: Floats
@@ -291,7 +296,7 @@ class Factors:
         as the data show them."""
         seen = self._spectrum(data)
         used = RULES[rule](seen)
-        return used, max(_most_likely(seen), used / MOST_RAISED)
+        return used, max(seen.likely, used / MOST_RAISED)
 
     def freedom(self, weight: float) -> float:
         """Return the degrees of freedom of the residual over the number of data."""
