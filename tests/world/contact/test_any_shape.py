@@ -284,7 +284,17 @@ def test_a_fin_between_the_middles_of_patches_is_stated(wide, at, across, tmp_pa
     solid = trimesh.creation.extrude_triangulation(np.array(outline, float), flat, 4.0).triangles - [0.0, 0.0, 2.0]
     file = write_stl(tmp_path / "fin.stl", solid[:, ::-1, [0, 2, 1]])
     press = Press(probe=Stl(file=str(file)), indentation_mm=DEPTH)
-    assert_force(force, press, across, within=0.08, most=lambda off: 4.0 * off)
+    assert_force(force, press, across, within=0.08, most=lambda off: 7.0 * off)  # where other patches see it
+
+
+@pytest.mark.parametrize(("depth", "across", "within"), [(0.1, 8, 0.055), (0.2, 12, 0.035)])
+def test_the_rim_of_a_lying_cylinder_is_cut_and_bent_between_patches(depth, across, within, tmp_path):
+    """Both add up: 4.8 % was missed where 2.5 was stated; 9.5 %, on half as many patches as were asked for."""
+    turn = trimesh.transformations.euler_matrix(0.0, np.pi / 2, 0.0)
+    file = write_stl(tmp_path / "rim.stl", trimesh.creation.cylinder(3.0, 3.0, sections=96, transform=turn).triangles)
+    rim = Press(probe=Stl(file=str(file)), tilt_deg=(-13.0, 15.0, -2.0), indentation_mm=depth)
+    finer = pressed(rim, across=36, on=HalfSpace(0.5)).force_n[2]
+    assert_force(finer, rim, across, within=within, least=0.9, most=lambda off: 3.0 * off)
 
 
 @pytest.mark.slow

@@ -573,9 +573,11 @@ def _find_overlap(
         pose[Z] = touch_z + np.clip(pose[Z] - touch_z, depth / _GROWTH, depth * _GROWTH)
         near = np.abs(pose - before)[:Z] <= _NEAR * max(contact.size)
         if abs(pose[Z] - before[Z]) <= _NEAR * depth and near.all():
-            if np.any(found.active & patches.border):
-                return plane, whole, pose
             touched = patches.bounds(found.active)._replace(width_mm=width)
+            if np.any(found.active & patches.border):
+                # it may reach further, but hardly by more than a patch
+                touched = touched.grown(*(2.0 * patches.cell_mm.max(axis=0)))
+                return plane, touched, pose
             # Coarse patches may miss a small piece beside the others.
             around = touched.grown(*(_BESIDE * size for size in touched.size))
             missed = math.isfinite(width) and around.joined(contact) != around

@@ -805,9 +805,9 @@ class _Border:
             own, before, after = overlap[:, :3].T
             ends = ~(overlap > 0.0).all(axis=1)  # `_sharp_ends` sees to those
             with np.errstate(invalid="ignore"):
-                smooth = (before + after - 2.0 * own) / 24.0
-                missed = overlap[:, 3:].mean(axis=1) - own - smooth
-                peak = overlap[:, 3:].max(axis=1) - overlap[:, :3].max(axis=1)
+                bend = before + after - 2.0 * own  # of a parabola a 24th is missed, at most an 8th
+                missed = overlap[:, 3:].mean(axis=1) - own - bend / 24.0
+                peak = overlap[:, 3:].max(axis=1) - overlap[:, :3].max(axis=1) - np.abs(bend) / 8.0
             off += np.where(ends, 0.0, missed)
             # what is no narrower than half a patch shows on average
             higher = ~ends & (peak > np.maximum(fin, 2.0 * np.abs(missed)))
@@ -924,7 +924,7 @@ class _Border:
             return _CUT_WITHIN * grown * math.pi / len(self.load)
         smooth = 1.0 - _OF_SMOOTH * self.ends_sharply**2
         cut = _CUT_FREE * grown * smooth * self.by_chance
-        return max(cut, self._between) + self._astray
+        return cut + self._astray + self._between
 
     @property
     def traction_error(self) -> float:
