@@ -431,15 +431,15 @@ def test_what_an_unsure_camera_makes_of_totals_is_stated():
     shift = (calibration.transfer @ force.ravel()).reshape(-1, 2)
     unknown = {"camera_error": [0.0, 0.0]}
     sure = read(shift, dataclasses.replace(calibration, provenance=json.dumps(calibration.facts | unknown)))
-    field, variance = read(shift, calibration), sure.sd_total_n**2
+    field, variance = read(shift, calibration), np.zeros(3)
     for key, more in (("pupil_mm", 0.1), ("tilt_deg", 0.2)):
         for axis in range(3):
             there = [value + more * (k == axis) for k, value in enumerate(getattr(camera, key))]
             moved = calibration_of(Sensor(load_scene("gelpad_press", {f"camera.{key}": there}))).transfer
             lacking = ((moved - calibration.transfer) @ field.force_n.ravel()).reshape(-1, 2)
             variance = variance + read(lacking, calibration).total_force_n ** 2
-    assert field.sd_total_n == pytest.approx(np.sqrt(variance), rel=1e-3)
-    assert (field.sd_total_n[:2] > 1.02 * sure.sd_total_n[:2]).all()
+    assert field.sd_total_n**2 - sure.sd_total_n**2 == pytest.approx(variance, rel=0.01)
+    assert (variance[:2] > 0.0).all()
 
 
 DOTS = {
@@ -472,6 +472,20 @@ def test_made_sensors_read_by_their_design_are_off_by_what_is_stated(scene, chan
         score.append((field.total_force_n - state.force_n)[2] / field.sd_total_n[2])
     assert calibration.scale_error == pytest.approx(np.hypot(0.015, 0.003))
     assert 1 / 3 < np.sqrt(np.mean(np.square(score))) < 1.3
+
+
+@pytest.mark.parametrize("method", ["smooth", "norm"])
+def test_one_layer_states_that_a_narrow_load_explains_its_motion_too(method):
+    """A push was 70 and 82 % too weak, 12 and 32 stated deviations: these methods take a wide weak load."""
+    sensor = Sensor(load_scene("gelpad_press", {"press.at_mm": [1.8, -1.4]}))
+    calibration, rest, state = calibration_of(sensor), sensor.actual.markers.points, sensor.press()
+    shift = sensor.project(rest + sensor.motion(state.load).displacement_mm) - sensor.project(rest)
+    field = reconstruct(as_found(shift, calibration, 0.01, seed=4), calibration, method)
+    score = force_score(field, sensor.rectangles(state.load))
+    assert score["total_force_error"] > 0.5
+    assert 1 / 3 < score["total_force_error"] / score["total_force_stated"] < 1.1
+    assert score["field_error"] < 1.1 * score["field_stated"]
+    assert field.one_layer(calibration.layer)
 
 
 DENSE = {"columns": 18, "rows": 15, "pitch_mm": 0.9, "diameter_mm": 0.3}

@@ -140,7 +140,7 @@ def reconstruct_recording(
     if len(known.layout) == 1 and not METHODS[options["method"]].local:
         print(
             f"twin: one layer of markers and method {options['method']}: forces into the surface "
-            "come out far too small, beyond the stated deviations; take --method local",
+            "come out far too small, as the stated deviations say; take --method local",
             file=sys.stderr,
         )
     relaxing = ""
