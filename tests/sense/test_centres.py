@@ -12,7 +12,7 @@ from twin.sense.colour import Flaws
 from twin.sense.detect import Blobs
 from twin.sense.paper_centroid import PaperCentroid
 from twin.sense.shape_fit import OwnPictures
-from twin.sense.template import CENTRE, LANES, disc, gather
+from twin.sense.template import BESIDE_PX, CENTRE, LANES, disc, gather
 from twin.sense.track import Tracker, analyse_rest
 
 
@@ -59,20 +59,34 @@ def test_an_empty_cell_and_an_unknown_place_show_nothing() -> None:
 
 @pytest.mark.parametrize("others", [0, 1, 2])
 @pytest.mark.parametrize("radius", [2.3, 7.86, 8.0, 17.2])
-def test_pixels_row_by_row_are_those_one_by_one(radius, others):
+def test_pixels_are_projected_and_uncovered_as_written_down(radius, others):
+    """Row by row, or one by one at the picture's border, against NumPy: pixels beside those where another layer shows
+    are as bright as without the share that it covers."""
     image = np.random.default_rng(3).integers(0, 256, (60, 70, 3), dtype=np.uint8)
-    limits = np.array([[0.5, 0.25, 0.0, 100.0], [0.0, -1.0, 1.0, 30.0]], np.float32)[:others]
+    limits = np.array([[0.5, 0.25, 0.0, 150.0, 20.0, 0.003], [0.0, -1.0, 1.0, 170.0, -30.0, 0.002]], np.float32)[
+        :others
+    ]
     offset, runs, _ = disc(int(radius**2))
-    plain, fast = np.zeros((2, 2, offset.shape[1] + LANES), np.float32)
-    own = tuple(np.array([1.0, -0.25, 0.5, 3.0], np.float32))
+    signal, use = np.zeros((2, offset.shape[1] + LANES), np.float32)
+    own = np.array([1.0, -0.25, 0.5, 3.0], np.float32)
     sites = np.array([[1.0, 0.0], [0.0, 1.0]] if others else np.ones((2, 2)), np.float32)
+    within = offset[0] < 1000
     for column in range(0, 70, 3):
         for row in range(0, 60, 3):
-            for way, (signal, use) in ((runs[:0], plain), (runs, fast)):
-                gather(image, own, limits, sites, column, row, offset, way, signal, use)
-            seen = plain[1, :-LANES] > 0
-            np.testing.assert_array_equal(fast[1, :-LANES] > 0, seen)
-            np.testing.assert_allclose(fast[0, :-LANES][seen], plain[0, :-LANES][seen], rtol=1e-6, atol=1e-4)
+            gather(image, tuple(own), limits, sites, column, row, offset, runs, signal, use)
+            x, y = column + offset[0, within], row + offset[1, within]
+            inside = (x >= 0) & (y >= 0) & (x < 70) & (y < 60)
+            pixels = image[np.where(inside, y, 0), np.where(inside, x, 0)].astype(float)
+            hidden = inside & (pixels @ limits[:, :3].T > limits[:, 3]).any(axis=1)
+            apart = np.abs(x[:, None] - x[hidden]), np.abs(y[:, None] - y[hidden])
+            beside = (np.maximum(*apart) <= BESIDE_PX).any(axis=1)
+            bright = pixels @ own[:3] - own[3]
+            for other in limits:
+                cover = np.fmax((pixels @ other[:3] - other[4]) * other[5], 0.0)
+                bright = np.where(beside, bright / (1.0 - cover), bright)
+            seen = inside & ~hidden & (sites[y % 2, x % 2] > 0)
+            np.testing.assert_array_equal(use[: offset.shape[1]][within] > 0, seen)
+            np.testing.assert_allclose(signal[: offset.shape[1]][within][seen], bright[seen], rtol=1e-5, atol=1e-3)
 
 
 def test_markers_lead_those_after_them():

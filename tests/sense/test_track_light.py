@@ -397,3 +397,25 @@ def test_brighter_and_darker_pictures_state_a_true_deviation(gain, ground, least
     found = track(expose(card.draw() + ground, 1), shown, card.layout)
     assert found.seen.all()
     assert least < np.sqrt(np.mean(((found.shift_px - shift) / found.sd_px[:, None]) ** 2)) < 1.3
+
+
+def test_two_colours_on_bright_ground_are_seen_where_light_falls_to_a_fifth():
+    """The ground of the far end showed as the other layer, which hid a quarter of the markers."""
+    grid = np.stack(np.meshgrid(np.arange(10), np.arange(7), indexing="ij"), -1).reshape(-1, 2) * 38.0 + 24.0
+    layout = {"red": grid, "green": grid + 19.0}
+    x = np.linspace(-1.0, 1.0, 410)
+    light = np.exp(-0.8 * (x + 1.0))[None, :, None]
+
+    def drawn(shift):
+        whole = np.full((300, 410, 3), 200.0)
+        for places, dye in zip(layout.values(), ([190.0, 60.0, 50.0], [40.0, 90.0, 60.0]), strict=True):
+            share = cover((410, 300), places + shift, 11.0, 0.7)[..., None]
+            whole = whole * (1.0 - share) + share * np.array(dye)
+        return whole * light
+
+    found = track(expose(drawn(0.0), 0), expose(drawn(np.array([0.7, -0.5])), 1), layout)
+    error = found.shift_px - [0.7, -0.5]
+    whole = (found.rest_px > 8.0).all(axis=1) & (found.rest_px < [401.0, 291.0]).all(axis=1)
+    inside = (np.concatenate(list(layout.values())) < [401.0, 291.0]).all(axis=1)
+    assert found.seen[inside].mean() > 0.98
+    assert np.sqrt(np.nanmean((error / found.sd_px[:, None])[whole] ** 2)) < 1.3

@@ -116,6 +116,9 @@ class CentreEstimator:
         Standard deviation of a factor that all shifts share, from 1.
     drift_px
         (n, 2) motion that the rest picture shows against itself, px.
+    front, follows
+        (n,) row, among all markers, of the one in another layer that may hide this one, and the
+        share of that one's relative motion that its shift may hold, per axis. None where none does.
     """
 
     look: Look
@@ -124,6 +127,8 @@ class CentreEstimator:
     usual_sd_px: Floats
     gain_error: float = 0.0
     drift_px: Floats | float = 0.0
+    front: Ints | None = None
+    follows: Floats | float = 0.0
 
     @property
     def roughness_px(self) -> float:

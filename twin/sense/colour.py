@@ -230,7 +230,7 @@ class Flaws:
 def _cover(middle, runs, covered):
     """Set what of ``covered`` (h, w) is in one of the discs of ``runs`` about ``middle`` (n, 2)."""
     for column, row in middle:
-        for line, first, count in runs:
+        for line, first, count, _ in runs:
             if 0 <= row + line < len(covered):
                 start = max(column + first, 0)
                 covered[row + line, start : max(column + first + count, start)] = True

@@ -87,6 +87,7 @@ from twin.sense.template import (
     SQUARES,
     STEP,
     THIRD,
+    UNCOVERED,
     UNEVEN,
     UNUSUAL,
     VARIANCE,
@@ -120,6 +121,12 @@ SHARPEST_EDGE_PX = 1.0
 """Width of an edge (`OwnPictures.edge_px`) below which it is such dots': pixels that gather light
 over their area leave .6 to .7 px (clean, JPEG 75, pale), with a blur of .3, .5 and .7 px .8, 1.1 to
 1.2 and 1.4 to 1.7 px."""
+
+CLEAR, SHADE_FOLLOWS = 1.1, 0.65
+"""From which distance on, over the sum of their radii, a marker does not follow one in front of it.
+Per axis and px of their relative motion, errors are the difference to that distance times the
+blur's standard deviation over the radius (.4 to 1.6 times, 6 to 15 px wide), and the second number
+times the shade's share."""
 
 LEAST_EDGE = 0.5
 """Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
@@ -243,24 +250,55 @@ class DiscFit(SoftWindow):
         places = [spot.spot_px for spot in spots]
         marks = np.concatenate(places)
         groups: list[SoftWindow] = []
-        for spot, signal in zip(
-            spots, LayerSignal.of_layers(picture, looks, places, given), strict=True
-        ):
+        signals = LayerSignal.of_layers(picture, looks, places, given)
+        for spot, signal in zip(spots, signals, strict=True):
             if spot.look.hole_px:
                 groups.append(spot.of_sharp(picture))
                 continue
             group = cls._by(picture, spot, signal, marks)
+            if group.templates.coherent and len(signal.others):
+                rival = cls._by(picture, spot, signal.smeared, marks)
+                # colours that are smeared fit better so
+                left = [float(medians(one.templates.rest[:, MISFIT])) for one in (group, rival)]
+                group = rival if left[1] < left[0] else group
             # Compression keeps more of the brightness than of the colours: is that the better one?
-            if signal.brightness is not None and group.templates.coherent:
-                rival = cls._by(picture, spot, replace(signal, own=signal.brightness), marks)
+            bright = signal.by_brightness if group.templates.coherent else None
+            if bright is not None:
+                rival = cls._by(picture, spot, bright, marks)
                 if rival.roughness_px < SMOOTHER * group.roughness_px:
                     group = replace(rival, templates=replace(rival.templates, coherent=True))
             if group._is_sharp:
                 groups.append(spot.of_sharp(picture))
                 continue
             bare = BareGround.of(picture, group.templates, group.around.rest_px, marks)
-            groups.append(replace(group, bare=bare))
+            group = replace(group, bare=bare)
+            groups.append(group._behind([spots[rival] for rival in signal.hiding], signal.shade))
         return groups
+
+    def _behind(self, fronts: Sequence[SoftWindow], shade: float) -> DiscFit:
+        """Return this with what lies in front of its markers, of the layers ``fronts``, which take
+        the share ``shade`` of the light around theirs.
+
+        What is left of a marker at rest gives an outline that is not known on the hidden side,
+        and the shade ends there, so the fit follows the edge of what hides it.
+        """
+        places = np.concatenate([np.empty((0, 2)), *(front.spot_px for front in fronts)])
+        known, mine = np.isfinite(places[:, 0]), self.around.rest_px
+        if not known.any():
+            return self
+        row = np.concatenate([front.look.rows for front in fronts])[known]
+        wide = np.repeat(
+            [front.look.diameter_px for front in fronts], [len(front.spot_px) for front in fronts]
+        )[known]
+        away, near = cKDTree(places[known]).query(np.nan_to_num(mine))
+        ux, uy = (mine - places[known][near]).T / np.fmax(away, 1e-9)
+        xx, xy, yy = self.templates.shape[:, :3].T
+        usual = self.templates.usual_radius_px
+        # its middle, were it whole, from its far side
+        away += np.hypot(xx * ux + xy * uy, xy * ux + yy * uy) - usual
+        near_by = np.clip(CLEAR - away / (usual + 0.5 * wide[near]), 0.0, CLEAR)
+        share = medians(self.templates.blur_px) / usual + SHADE_FOLLOWS * shade
+        return replace(self, front=row[near], follows=share * np.nan_to_num(near_by))
 
     @property
     def roughness_px(self) -> float:
@@ -355,7 +393,8 @@ class DiscFit(SoftWindow):
         gain = _brightness(picture) / max(self.brightness_dn, 1.0)
         if 1.0 / BRIGHTER < gain < BRIGHTER:
             return self
-        others = self.templates.others * np.array([1.0, 1.0, 1.0, gain], np.float32)
+        others = self.templates.others.copy()
+        others[:, 3:UNCOVERED] *= np.float32(gain)
         return replace(self, templates=replace(self.templates, others=others))
 
     def _suited(self, picture: Picture, start_px: Pixels) -> tuple[DiscFit, Floats]:
@@ -471,7 +510,8 @@ class DiscFit(SoftWindow):
         reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
         t = templates
         sloping = slope_terms(places, picture.shape) @ t.ground_slopes.T + t.ground[:, 1:3]
-        seen = (picture, t.own, t.others, t.sites, sloping, places)
+        others = t.others_at(t.others, places, picture.shape)
+        seen = (picture, t.own, others, t.sites, sloping, places)
         shape = fit_shapes(*seen, radius, reach, t.noise, blur, bulge, free_blur=True)
         shape[:, 3:6] = known[:, 3:6]
         # These shapes are templates of a fit like all others.

@@ -45,6 +45,7 @@ from twin.sense.template import (
     NO_RUNS,
     QUADRATIC,
     SHAPE,
+    UNCOVERED,
     VAR_X,
     Templates,
     disc,
@@ -63,8 +64,14 @@ MIXED = 5.0
 """Where compression halves the resolution of colours, a layer that hardly shows in the brightness
 has the smallest errors with so many parts of it (blue: 5 to 9)."""
 
-SHOWS, SHOWS_DN = 0.3, 4.0
-"""Another layer shows where it has this share of its usual level, at least so many counts."""
+CROSSING, BLIND, DARKER, SAME_LEVEL = 20, 0.03, 0.1, 0.15
+"""From how many pixels, where markers of two layers cross, it is seen which lies in front: it is as
+bright there as elsewhere, but for the last share. The other one, of whose own brightness no more
+than the second share shows in it, then can't hide it."""
+
+FALLS = 0.2
+"""Change of a layer's ground over the picture, over its markers' brightness, from which on it is
+known by the place."""
 
 ONE_COLOUR = 0.75
 """A layer shows in one colour if its projection has this share in it."""
@@ -143,8 +150,10 @@ class LayerSignal:
     ----------
     own
         (4,) its projection (r, g, b) and the ground's level in it.
-    others
-        (m, 4) the other layers' projections and the counts above which they show.
+    number, hiding, every
+        Which layer it is, and which ones may hide it, of (q, 16) all, see `Templates.others`.
+    shade
+        The largest share of its light that it lacks around those that hide it.
     brightness
         As ``own``, of the brightness, in which compression keeps more than in colours; where the
         layer hardly shows in it, of both; None where the projection was given.
@@ -155,10 +164,33 @@ class LayerSignal:
     """
 
     own: Singles
-    others: Singles
+    number: int
+    hiding: list[int]
+    every: Singles
+    shade: float
     brightness: Singles | None
     bright: bool
     sites: Singles
+
+    @property
+    def others(self) -> Singles:
+        """(m, 16) the layers that may hide it."""
+        return self.every[self.hiding]
+
+    @property
+    def smeared(self) -> LayerSignal:
+        """The same where colours are smeared, so how much of a pixel others cover is not known."""
+        every = self.every.copy()
+        every[:, UNCOVERED] = 0.0
+        return replace(self, every=every)
+
+    @property
+    def by_brightness(self) -> LayerSignal | None:
+        """The same by the picture's brightness, in which all layers show; None without."""
+        if self.brightness is None:
+            return None
+        rivals = [rival for rival in range(len(self.every)) if rival != self.number]
+        return replace(self, own=self.brightness, hiding=rivals).smeared
 
     @classmethod
     def of_layers(
@@ -178,10 +210,11 @@ class LayerSignal:
         # Colours of the markers, less the ground's; each projection is blind to the other colours.
         own = [np.asarray(look.weights) for look in looks]
         widest = max(look.diameter_px for look in looks)
-        colours = [
-            _marker_colour(picture, spots, look.diameter_px, np.concatenate(spots_px), widest)
+        lit = [
+            _marker_colours(picture, spots, look.diameter_px, np.concatenate(spots_px), widest)
             for spots, look in zip(spots_px, looks, strict=True)
         ]
+        colours = [np.median(apart, axis=0) if len(apart) else np.zeros(3) for _, _, apart in lit]
         visible = all(np.abs(colour).max() >= LEAST_CONTRAST_DN for colour in colours)
         if not given and len(looks) > 1 and visible:
             inverse = np.linalg.pinv(np.array(colours), rcond=0.05).T
@@ -203,11 +236,61 @@ class LayerSignal:
             return np.array([*weights, ground(weights, colour)], np.float32)
 
         shows = []
-        for weights, colour in zip(own, colours, strict=True):
-            least = max(SHOWS * float(weights @ colour), SHOWS_DN)
-            shows.append([*weights, ground(weights, colour) + least])
-        signals = []
         mosaic = Flaws.mosaic_sites(picture)
+        for weights, colour, part in zip(own, colours, lit, strict=True):
+            known = float(mosaic is None)
+            terms = np.zeros((2, 6))
+            terms[:, 0] = ground(weights, colour), weights @ colour
+            # where light falls off the ground would show, and dim markers would not
+            places, behind, apart = part
+            smooth = Templates.smooth(
+                np.column_stack([behind @ weights, apart @ weights]), places, picture.shape
+            )
+            here, bright = smooth @ slope_terms(places, picture.shape).T
+            if (
+                len(places) >= QUADRATIC
+                and np.ptp(here) > FALLS * terms[1, 0]
+                and min(bright) > 0.0
+            ):
+                terms = smooth
+            shows.append([*weights, *terms.ravel(), known])
+        whole, inside = (
+            [
+                Flaws.covered(picture, spots, max(0.5 * look.diameter_px - less, 0.0))
+                for spots, look in zip(spots_px, looks, strict=True)
+            ]
+            for less in (-MARGIN_PX, MARGIN_PX + USUAL_BLUR_PX)
+        )
+        around = [
+            Flaws.covered(picture, spots, 0.5 * look.diameter_px + USUAL_BLUR_PX + MARGIN_PX)
+            for spots, look in zip(spots_px, looks, strict=True)
+        ]
+
+        def lies_in_front(number: int, rival: int) -> bool:
+            """Return whether the layer is as bright where the rival's markers are as elsewhere, and
+            these don't show in it: then they don't hide it."""
+            mine, its = inside[number], whole[rival]
+            weights, level = own[number], float(own[number] @ colours[number])
+            if not abs(weights @ colours[rival]) < BLIND * level:
+                return False
+            crossing, alone = picture[mine & its] @ weights, picture[mine & ~its] @ weights
+            if min(len(crossing), len(alone)) < CROSSING:
+                return False
+            darker = np.median(alone) - np.quantile(crossing, DARKER)
+            return bool(darker < SAME_LEVEL * level)
+
+        def shaded(number: int, rival: int) -> float:
+            """Return the share of the layer's light that it lacks around the rival's markers."""
+            mine, near = inside[number], around[rival]
+            close = picture[mine & near & ~whole[rival]] @ own[number]
+            away = picture[mine & ~near] @ own[number]
+            if min(len(close), len(away)) < CROSSING:
+                return 0.0
+            lacks = np.median(away) - np.median(close)
+            return max(float(lacks) / max(float(own[number] @ colours[number]), 1.0), 0.0)
+
+        every = np.array(shows, np.float32).reshape(-1, 16)
+        signals = []
         for number, (weights, colour) in enumerate(zip(own, colours, strict=True)):
             bright = float(LUMA @ colour)
             in_brightness = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())
@@ -215,7 +298,13 @@ class LayerSignal:
             if not in_brightness:
                 mixed = weights + MIXED * mixed
             brightness = None if given else with_ground(mixed / np.abs(mixed).max(), colour)
-            others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
+            hiding = [
+                rival
+                for rival in range(len(own))
+                if rival != number and not lies_in_front(number, rival)
+            ]
+            as_seen = every.copy()  # which lies in front may not be seen
+            as_seen[:, UNCOVERED] *= [lies_in_front(rival, number) for rival in range(len(own))]
             channel = int(np.abs(weights).argmax())
             one_colour = np.abs(weights[channel]) > ONE_COLOUR * np.abs(weights).sum()
             sites = EVERYWHERE
@@ -224,7 +313,10 @@ class LayerSignal:
             signals.append(
                 cls(
                     own=with_ground(weights, colour),
-                    others=others,
+                    number=number,
+                    hiding=hiding,
+                    every=as_seen,
+                    shade=max((shaded(number, rival) for rival in hiding), default=0.0),
                     brightness=brightness,
                     bright=bool(in_brightness),
                     sites=sites,
@@ -261,7 +353,8 @@ class LayerSignal:
         start_px
             (n, 2) where their fits start at rest, px.
         """
-        own, others = self.own, self.others
+        own = self.own
+        others = Templates.others_at(self.others, spots_px, picture.shape)
         count, wanted = len(spots_px), np.isfinite(spots_px).all(axis=1)
         radius = np.where(wanted & ~cut, 0.5 * diameter_px, np.nan)
         # The noise in single pixels: a full marker's is never taken for less than the ground's.
@@ -302,7 +395,7 @@ class LayerSignal:
         ground = shape[:, SHAPE + 2]
         templates = Templates(
             own=own,
-            others=others,
+            others=self.others,
             sites=self.sites,
             shape=for_kernel(shape[:, :SHAPE]),
             ground=_evenly_lit(np.where(np.abs(ground) > 0.5 * shape[:, BRIGHT], ground, 0.0)),
@@ -332,17 +425,17 @@ class LayerSignal:
         return settled, np.ascontiguousarray(fitted[:, CENTRE])
 
 
-def _marker_colour(
+def _marker_colours(
     picture: Picture, centres: Pixels, diameter: float, marks: Pixels, widest: float
-) -> Floats:
-    """Return (3,) how markers differ from their ground, counts: the median over them; zeros if
-    there are none. Their ground is where none of the ``marks`` (q, 2), up to ``widest`` px, is."""
+) -> tuple[Pixels, Floats, Floats]:
+    """Return (k, 2) places of markers, (k, 3) their ground and how they differ from that, counts.
+    Their ground is where none of the ``marks`` (q, 2), up to ``widest`` px, is."""
     middle = np.rint(centres[np.isfinite(centres).all(axis=1)]).astype(int)
     far = int(np.ceil(0.5 * diameter)) + 4
     height, width = picture.shape[:2]
     inside = ((middle >= far) & (middle < [width - far, height - far])).all(axis=1)
     if not inside.any():
-        return np.zeros(3)
+        return np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3))
     column, row = middle[inside].T
     half = int(0.2 * diameter)
     near = range(-half, half + 1)
@@ -352,10 +445,12 @@ def _marker_colour(
     away, _ = cKDTree(marks[np.isfinite(marks).all(axis=1)]).query(around)
     free = away > 0.5 * widest + CLEAR_PX
     if not free.any():  # too dense
-        return np.asarray(np.median(spot - np.median(picture[::4, ::4], axis=(0, 1)), axis=0))
+        behind = np.broadcast_to(np.median(picture[::4, ::4], axis=(0, 1)), spot.shape)
+        return middle[inside].astype(float), behind, spot - behind
     ring[~free] = np.nan
     some = free.any(axis=0)
-    return np.asarray(np.median(spot[some] - np.nanmedian(ring[:, some], axis=0), axis=0))
+    behind = np.nanmedian(ring[:, some], axis=0)
+    return middle[inside][some].astype(float), behind, spot[some] - behind
 
 
 def _gain(picture: Picture, templates: Templates, centres: Pixels) -> float:
@@ -466,7 +561,7 @@ def _noise_variances(
     offset = np.stack(np.meshgrid(side, side)).reshape(2, -1)
     known = np.flatnonzero(np.isfinite(centres).all(axis=1))
     signal, use = np.empty((2, len(known), offset.shape[1]), np.float32)
-    nothing, middle = np.zeros((0, 4), np.float32), np.rint(centres[known]).astype(np.int64)
+    nothing, middle = np.zeros((0, 6), np.float32), np.rint(centres[known]).astype(np.int64)
     for k, (column, row) in enumerate(middle):
         gather(picture, tuple(own), nothing, sites, column, row, offset, NO_RUNS, signal[k], use[k])
     # of a colour mosaic, differences of pixels that lie two apart: those of the same site

@@ -41,10 +41,10 @@ from twin.sense.template import (
     FITTING,
     GROUND,
     IMPERFECT,
+    LANES,
     LEVEL,
     LINEAR,
     MISFIT,
-    NO_RUNS,
     ONE_SIDED,
     OUTLIER_SD,
     OWN_PICTURE,
@@ -119,9 +119,10 @@ def fit_shapes(
     _fit_shapes(
         picture,
         own,
-        others,
+        others[rows],
         sites,
         offset,
+        runs,
         int(runs[:, 2].sum()) // 2,
         radius,
         ground_slopes[rows],
@@ -129,7 +130,7 @@ def fit_shapes(
         bulge,
         blur_px,
         (float(free_bulge), float(free_blur)),
-        np.empty((2, offset.shape[1]), np.float32),
+        np.empty((2, offset.shape[1] + LANES), np.float32),
         np.empty((PARAMETERS + 1, offset.shape[1])),
         np.empty((PARAMETERS + 1, PARAMETERS + 1)),
         p,
@@ -175,6 +176,7 @@ def _fit_shapes(
     others,
     sites,
     offset,
+    runs,
     middle,
     radius,
     ground_slopes,
@@ -194,18 +196,18 @@ def _fit_shapes(
     ``offset`` (2, m) are the pixels, number ``middle`` in the middle. ``radius`` (k,) is the
     marker's at the start, ``noise`` (k,) a pixel's variance.
     ``free`` are 1 or 0 for bulge and blur, which else keep their values ``bulge`` and ``blur``.
-    ``room`` (2, m) is for the pixels and their weights, see `gather`; ``work`` (`PARAMETERS` + 1,
-    m) for every pixel's weighted derivatives and residual, ``sums`` for their products: a matrix
-    with the right side as its last row.
+    ``room`` (2, m + `LANES`) is for the pixels and their weights, see `gather`, and ``runs`` too;
+    ``work`` (`PARAMETERS` + 1, m) for every pixel's weighted derivatives and residual, ``sums`` for
+    their products: a matrix with the right side as its last row.
     """
     free_bulge, free_blur = free
     fixed = (1.0 - free_bulge) * bulge
     colour = (own[0], own[1], own[2], own[3])
-    pixels, counts = room[0], room[1]
+    pixels, counts = room[0, : offset.shape[1]], room[1, : offset.shape[1]]
     for k in range(len(parameters)):
         p = parameters[k]
         column, row = int(np.rint(p[0])), int(np.rint(p[1]))
-        gather(image, colour, others, sites, column, row, offset, NO_RUNS, pixels, counts)
+        gather(image, colour, others[k], sites, column, row, offset, runs, room[0], room[1])
         p[3] = pixels[middle]
         r = radius[k]
         moved = 1.0
@@ -626,13 +628,9 @@ def _signal(picture: Picture, templates: Templates, place: Ints) -> tuple[Floats
     height, width = picture.shape[:2]
     inside = ((place >= 0) & (place < [width, height])).all(axis=2)
     inside &= templates.sites[place[:, :, 1] % 2, place[:, :, 0] % 2] > 0.0
-    use = inside.copy()
     column, row = np.clip(place, 0, [width - 1, height - 1]).transpose(2, 0, 1)
-    pixels = picture[row, column].astype(float)
-    own = templates.own.astype(float)
-    for other in templates.others.astype(float):
-        use &= pixels @ other[:3] <= other[3]
-    return pixels @ own[:3] - own[3], np.asarray(use), np.asarray(inside)
+    signal, shown = templates.project(picture)
+    return signal[row, column].astype(float), inside & shown[row, column], np.asarray(inside)
 
 
 COARSE, TURNS_OF_WARP = (0.2, 0.07, 0.0), (12, 8, 12, 8)
@@ -867,10 +865,8 @@ class OwnPictures:
 def _views(picture: Picture, templates: Templates) -> tuple[list[Singles], Bools]:
     """Return the projected picture (h, w), blurred by each of `COARSE`; and where no other layer
     shows."""
-    shown = np.ones(picture.shape[:2], np.bool_)
-    for other in templates.others:
-        shown &= picture @ other[:3] <= other[3]
-    signal = picture @ templates.own[:3]
+    signal, shown = templates.project(picture)
+    signal += templates.own[3]
     blurs = [share * templates.usual_radius_px for share in COARSE]
     return [gaussian_filter(signal, blur) for blur in blurs], shown
 

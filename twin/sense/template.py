@@ -23,12 +23,17 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
-from twin.arrays import Floats, Ints, Picture, Pixels, Singles
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles
 from twin.compiled import njit
 
 LANES = 16
 """So many pixels of a row are worked on at once."""
+
+HIDDEN, BESIDE, BESIDE_PX = np.float32(-1.0), np.float32(2.0), 2
+"""Marks of a pixel where another layer shows, and of one so near to it that its blur reaches
+there."""
 
 
 @lru_cache(maxsize=64)
@@ -40,7 +45,7 @@ def disc(square: int) -> tuple[Ints, Ints, Singles]:
     offset
         (2, m) offsets, row by row, filled up to a multiple of 8 by far ones.
     runs
-        (rows, 3) row, first column and number of its pixels.
+        (rows, 4) row, first column, number of its pixels, and that of the first of them.
     place
         ``offset`` as float32, at most 1000.
     """
@@ -49,7 +54,7 @@ def disc(square: int) -> tuple[Ints, Ints, Singles]:
     inside = column**2 + row**2 <= square
     offset = np.stack([column[inside], row[inside]])
     rows, first, count = np.unique(offset[1], return_index=True, return_counts=True)
-    runs = np.stack([rows, offset[0, first], count], axis=1)
+    runs = np.stack([rows, offset[0, first], count, first], axis=1)
     padding = ((0, 0), (0, -offset.shape[1] % 8))
     offset = np.pad(offset, padding, constant_values=1 << 30)
     return offset, runs, np.clip(offset, -1000, 1000).astype(np.float32)
@@ -64,11 +69,11 @@ def disc_offsets(radius: float) -> Ints:
 @njit(cache=True, fastmath=True)
 def gather(image, own, others, sites, column, row, offset, runs, signal, use):
     """Project the pixels at ``offset`` (2, m); those outside, not of the ``sites``, or where one of
-    ``others`` shows, don't count.
+    ``others`` (q, 6), see `Templates.others_at`, shows don't count.
 
     Where all are in the picture, every one of the ``runs`` is worked on in whole `LANES`; what is
     too much is written over by the next row. So ``signal`` and ``use`` have room for `LANES` more
-    than m, unless ``runs`` is empty: then the pixels are taken one by one.
+    than m. ``runs`` may be empty where there are no others: then the pixels are taken one by one.
     """
     height, width = image.shape[0], image.shape[1]
     red, green, blue, ground = own
@@ -90,8 +95,9 @@ def gather(image, own, others, sites, column, row, offset, runs, signal, use):
             seen = np.float32(1.0)
             for k in range(others.shape[0]):
                 if others[k, 0] * r + others[k, 1] * g + others[k, 2] * b > others[k, 3]:
-                    seen = np.float32(0.0)
-            use[p] = seen * sites[y % 2, x % 2]
+                    seen = HIDDEN
+            use[p] = seen
+        _uncover(image, others, sites, column, row, offset, runs, signal, use)
         return
     flat = image.reshape(-1)
     other_red, other_green, other_blue = np.float32(0), np.float32(0), np.float32(0)
@@ -113,7 +119,7 @@ def gather(image, own, others, sites, column, row, offset, runs, signal, use):
                 b = np.float32(pixels[3 * x + 2])
                 value[x] = red * r + green * g + blue * b - ground
                 hidden = other_red * r + other_green * g + other_blue * b > limit
-                seen[x] = np.float32(0.0) if hidden else np.float32(1.0)
+                seen[x] = HIDDEN if hidden else np.float32(1.0)
         done += count
     for p in range(done, offset.shape[1]):
         signal[p], use[p] = np.float32(0.0), np.float32(0.0)
@@ -124,10 +130,47 @@ def gather(image, own, others, sites, column, row, offset, runs, signal, use):
             g = np.float32(image[y, x, 1])
             b = np.float32(image[y, x, 2])
             if others[k, 0] * r + others[k, 1] * g + others[k, 2] * b > others[k, 3]:
-                use[p] = np.float32(0.0)
+                use[p] = HIDDEN
+    _uncover(image, others, sites, column, row, offset, runs, signal, use)
+
+
+@njit(cache=True)
+def _uncover(image, others, sites, column, row, offset, runs, signal, use):
+    """Make `HIDDEN` pixels of ``use``, and those not of the ``sites``, 0, and ``signal`` beside
+    hidden ones as bright as without the blurred edge of what lies in front.
+
+    Why: that edge takes light from pixels in which it hardly shows, and the marker behind would
+    follow its motion. What it covers of a pixel is its own share of its brightness.
+    """
+    if len(others) > 0:
+        least = np.float32(0.0)
+        for p in range(len(use)):
+            least = min(least, use[p])
+        for i in range(len(runs) if least < 0.0 else 0):
+            for p in range(runs[i, 2]):
+                if use[runs[i, 3] + p] >= 0.0:
+                    continue
+                x = runs[i, 1] + p
+                for k in range(max(i - BESIDE_PX, 0), min(i + BESIDE_PX + 1, len(runs))):
+                    first, last = x - BESIDE_PX - runs[k, 1], x + BESIDE_PX + 1 - runs[k, 1]
+                    for q in range(max(first, 0), min(last, runs[k, 2])):
+                        if use[runs[k, 3] + q] == 1.0:
+                            use[runs[k, 3] + q] = BESIDE
+        for p in range(offset.shape[1] if least < 0.0 else 0):
+            if use[p] == BESIDE:
+                x, y = column + offset[0, p], row + offset[1, p]
+                r = np.float32(image[y, x, 0])
+                g = np.float32(image[y, x, 1])
+                b = np.float32(image[y, x, 2])
+                for k in range(len(others)):
+                    shows = others[k, 0] * r + others[k, 1] * g + others[k, 2] * b - others[k, 4]
+                    signal[p] /= np.float32(1.0) - max(shows * others[k, 5], np.float32(0.0))
+                use[p] = np.float32(1.0)
+            use[p] = max(use[p], np.float32(0.0))
     if sites[0, 0] + sites[0, 1] + sites[1, 0] + sites[1, 1] < 4.0:
-        for p in range(done):
-            use[p] *= sites[(row + offset[1, p]) % 2, (column + offset[0, p]) % 2]
+        for p in range(offset.shape[1]):
+            if use[p] > 0.0:
+                use[p] = sites[(row + offset[1, p]) % 2, (column + offset[0, p]) % 2]
 
 
 SHAPE = 8
@@ -220,6 +263,12 @@ another's shadow that one goes back, and how far must not depend on how near the
 IMPERFECT, SHARE = 0.02, 0.25
 """What the model is trusted to: as a share of the brightness, and of the mean squared residual that
 it has (a marker that has changed its shape misses at its edge, where its place is to be read)."""
+
+SHOWS, SHOWS_DN = 0.3, 4.0
+"""Another layer shows where it has this share of its usual level, at least so many counts."""
+
+UNCOVERED = 15
+"""Number of the last of what describes another layer."""
 
 LEADS = 3
 """Earlier markers by whose motion a start may be moved."""
@@ -401,7 +450,7 @@ def _fit_centres(
                 break
             if turn == 0 or abs(cx - column) > 1.0 or abs(cy - row) > 1.0:
                 column, row = middle_x, middle_y
-                gather(image, colour, others, sites, column, row, offset, runs, room[0], room[1])
+                gather(image, colour, others[k], sites, column, row, offset, runs, room[0], room[1])
             u, v = cx / columns - 0.5, cy / rows - 0.5
             slope_x, slope_y, ground_x, ground_y = mark[3], mark[4], ground[k, 1], ground[k, 2]
             for term, value in enumerate((1.0, u, v, u * u, u * v, v * v)):
@@ -608,7 +657,7 @@ def slope_terms(places: Pixels, size: Sequence[int]) -> Floats:
 
 
 NOBODY = np.zeros((0, LEADS), np.int64)
-NO_RUNS = np.zeros((0, 3), np.int64)
+NO_RUNS = np.zeros((0, 4), np.int64)
 """Runs of `gather` for pixels one by one."""
 
 
@@ -619,8 +668,9 @@ class Templates:
     Attributes
     ----------
     own, others
-        (4,) projection (r, g, b) and ground; (m, 4) the other signals' and the counts above which
-        they show; float32.
+        (4,) projection (r, g, b) and ground; (m, 16) the other signals' projections, then their
+        ground's counts and their markers' brightness, each by `slope_terms`, and 1 where pixels
+        beside are taken for as bright as without them, else 0 (`UNCOVERED`); float32.
     sites
         (2, 2) 1 where a camera with a colour mosaic has measured the layer's colour, by parity of
         row and column, else 0; all 1 without. float32.
@@ -688,6 +738,37 @@ class Templates:
                     )
                 )
         return shared
+
+    @staticmethod
+    def others_at(others: Singles, places: Pixels, size: Sequence[int]) -> Singles:
+        """Return (n, m, 6) of ``others`` (m, 16) about ``places`` (n, 2): projections (r, g, b),
+        the counts above which they show, the ground's, and the share that they cover for every
+        count more."""
+        at = np.empty((len(places), len(others), 6), np.float32)
+        if len(others):
+            even = not (others[:, 4:9].any() or others[:, 10:UNCOVERED].any())
+            terms = np.eye(1, 6) if even else slope_terms(places, size)
+            level = np.fmax(terms @ others[:, 9:UNCOVERED].T, 1.0)
+            at[:, :, :3], at[:, :, 4] = others[:, :3], terms @ others[:, 3:9].T
+            at[:, :, 5] = others[:, UNCOVERED] / level
+            at[:, :, 3] = at[:, :, 4] + np.fmax(SHOWS * level, SHOWS_DN)
+        return at
+
+    def project(self, picture: Picture) -> tuple[Floats, Bools]:
+        """Return the whole picture (h, w) projected as by `gather`, and where it counts."""
+        signal = picture @ self.own[:3] - self.own[3]
+        shown, wide = np.ones(signal.shape, np.bool_), 2 * BESIDE_PX + 1
+        rows, columns = signal.shape
+        places = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2)
+        at = self.others_at(self.others, places if len(self.others) else places[:0], picture.shape)
+        for k in range(len(self.others)):
+            limit, ground, share = at[:, k, 3:].T.reshape(3, rows, columns)
+            here = picture @ self.others[k, :3]
+            hidden = here > limit
+            near = binary_dilation(hidden, np.ones((wide, wide))) & ~hidden
+            signal[near] /= 1.0 - np.fmax((here - ground) * share, 0.0)[near]
+            shown &= ~hidden
+        return signal, shown
 
     @property
     def blur_px(self) -> Floats:
@@ -783,7 +864,7 @@ class Templates:
         _fit_centres(
             picture,
             self.own,
-            self.others,
+            self.others_at(self.others, start_px, picture.shape),
             self.sites,
             np.ascontiguousarray(start_px),
             NOBODY if lead is None else lead,

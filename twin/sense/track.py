@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Picture, Pixels, frozen
+from twin.arrays import Bools, Floats, Picture, Pixels, frozen, medians
 from twin.blas_threads import one_blas_thread
 from twin.display import Table, new_axes, plot_shifts
 from twin.errors import AccuracyWarning, InputError
@@ -446,6 +446,12 @@ def _measured(
         spurious = (
             None if spurious is None or seen.spurious_px is None else [*spurious, seen.spurious_px]
         )
+    for group in rest.groups:
+        if group.front is not None:  # partly hidden by another layer, a marker follows that one
+            rows = group.look.rows
+            away = np.hypot(*(shift[rows] - shift[group.front]).T)
+            away[np.isnan(away)] = medians(away)
+            sd[rows] = np.hypot(sd[rows], group.follows * np.nan_to_num(away))
     lost = np.isnan(shift[:, 0])
     # From a cold start a layer that is ambiguous has moved as the markers of one that is not.
     other = state != AMBIGUOUS
