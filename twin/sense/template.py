@@ -134,7 +134,7 @@ def gather(image, own, others, sites, column, row, offset, runs, signal, use):
     _uncover(image, others, sites, column, row, offset, runs, signal, use)
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _uncover(image, others, sites, column, row, offset, runs, signal, use):
     """Make `HIDDEN` pixels of ``use``, and those not of the ``sites``, 0, and ``signal`` beside
     hidden ones as bright as without the blurred edge of what lies in front.
@@ -144,7 +144,7 @@ def _uncover(image, others, sites, column, row, offset, runs, signal, use):
     """
     if len(others) > 0:
         least = np.float32(0.0)
-        for p in range(len(use)):
+        for p in range(offset.shape[1]):
             least = min(least, use[p])
         for i in range(len(runs) if least < 0.0 else 0):
             for p in range(runs[i, 2]):
