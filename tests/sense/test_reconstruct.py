@@ -488,6 +488,20 @@ def test_one_layer_states_that_a_narrow_load_explains_its_motion_too(method):
     assert field.one_layer(calibration.layer)
 
 
+@pytest.mark.parametrize(("thickness_mm", "diameter_mm", "force_n"), [(4, 10, 0.5), (2.5, 8, 0.3)])
+def test_one_layer_states_that_it_hardly_sees_an_even_pressure(thickness_mm, diameter_mm, force_n):
+    """Found 23 and 42 % too weak, 3.9 and 3.8 stated deviations: under a wide flat face hardly a dot moves."""
+    probe = {"kind": "cylinder", "diameter_mm": diameter_mm, "edge_mm": 0.3}
+    keys = {"body.thickness_mm": thickness_mm, "press.at_mm": [1.8, -1.4], "press.probe": probe}
+    sensor = Sensor(load_scene("gelpad_press", {**keys, "press.force_n": {"z": force_n}}))
+    calibration, rest, state = calibration_of(sensor), sensor.actual.markers.points, sensor.press()
+    shift = sensor.project(rest + sensor.motion(state.load).displacement_mm) - sensor.project(rest)
+    field = reconstruct(as_found(shift, calibration, 0.01, seed=4), calibration, "local")
+    score = force_score(field, sensor.rectangles(state.load))
+    assert score["total_force_error"] > 0.15
+    assert 1 / 3 < score["total_force_error"] / score["total_force_stated"] < 1.0
+
+
 DENSE = {"columns": 18, "rows": 15, "pitch_mm": 0.9, "diameter_mm": 0.3}
 
 

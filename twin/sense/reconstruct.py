@@ -107,11 +107,12 @@ class Field(ForceTable):
         `Calibration.by_camera`, `Calibration.by_load_cell`, `Calibration.mesh_error`; recorded
         places leave nothing), and by `Found.gain_error` and `Found.drift_px`. By ``local`` also by
         where forces are expected, and by the misfit of markers next to them
-        (`Factors.misfit_variance`), as where residuals are far above the noise; by ``smooth`` and
-        ``norm`` of one layer also by that narrow load's, as one layer hardly tells a wide weak load
-        from a narrow strong one, and these methods take the wide one; under bounds also
-        by how far the bounded forces' totals lie from these, unless the motion contradicts the
-        bounds (`BY_BOUNDS`).
+        (`Factors.misfit_variance`), as where residuals are far above the noise. Of one layer also
+        by how far the totals of forces of one direction lie from them, as large as those found by
+        ``local``, and a narrow load by the others: one layer hardly tells a wide weak load from a
+        narrow strong one, and hardly sees a pressure that is even. Under bounds also by how far the
+        bounded forces' totals lie from these, unless the motion contradicts the bounds
+        (`BY_BOUNDS`).
     used
         (n,) which markers took part.
     wrong
@@ -274,10 +275,11 @@ def reconstruct(
     totals = rows @ force.ravel()
     even = min(linear.scale, MOST_EVEN) if isinstance(weight, str) else linear.scale
     sd_total = _sd_of_totals(found, linear, even, moved, local=METHODS[method].local)
-    if len(calibration.layout) == 1 and METHODS[method].weighted and not METHODS[method].local:
-        unseen = _narrow(linear) - force
-        sd_force = np.hypot(sd_force, unseen)
+    if len(calibration.layout) == 1 and METHODS[method].weighted:
+        unseen = _of_one_way(problem, linear, local=METHODS[method].local) - force
         sd_total = np.hypot(sd_total, rows @ unseen.ravel())
+        if not METHODS[method].local:
+            sd_force = np.hypot(sd_force, unseen)
     kkt = 0.0
     if push_only or friction is not None:
         at = linear.weight
@@ -623,16 +625,24 @@ is taken. On four pads of 2 to 6 mm with one layer (spheres of 4 to 8 mm) its pu
 one; of `smooth` it is -0.15 to 0.34."""
 
 
-def _narrow(linear: _Linear) -> Floats:
-    """Return (k, 3) forces, N, that act where the solution's are largest and explain the motion
-    best: three numbers times a pattern."""
-    problem, found = linear.problem, linear.force_n
+def _of_one_way(problem: Problem, linear: _Linear, *, local: bool) -> Floats:
+    """Return (k, 3) forces, N, of one direction that explain the motion best: three numbers times a
+    pattern. That is how large the solution's own are where these are ``local``, else a narrow load
+    where they are largest.
+
+    A solution's forces differ in direction from site to site, which one layer hardly tells from
+    another size of them all.
+    """
+    found = linear.force_n
     if not found.any():
         return found
+    if local:
+        patterns = [np.linalg.norm(found, axis=1)]
+    else:
+        patterns = [_expected_sizes(problem, found) ** power for power in NARROWER]
     root = np.sqrt(problem.factors.share)
     least = np.inf
-    for power in NARROWER:
-        pattern = _expected_sizes(problem, linear.force_n) ** power
+    for pattern in patterns:
         loads = np.kron(pattern[:, None], np.eye(3))
         moves = root[:, None] * (problem.base.transfer @ loads) / problem.size_px
         size = np.linalg.lstsq(moves, root * linear.data, rcond=None)[0]
