@@ -12,7 +12,7 @@ from twin.sense.colour import Flaws
 from twin.sense.detect import Blobs
 from twin.sense.paper_centroid import PaperCentroid
 from twin.sense.shape_fit import OwnPictures
-from twin.sense.template import BESIDE_PX, CENTRE, LANES, disc, gather
+from twin.sense.template import CENTRE, DIMS_PX, LANES, disc, gather
 from twin.sense.track import Tracker, analyse_rest
 
 
@@ -79,7 +79,7 @@ def test_pixels_are_projected_and_uncovered_as_written_down(radius, others):
             pixels = image[np.where(inside, y, 0), np.where(inside, x, 0)].astype(float)
             hidden = inside & (pixels @ limits[:, :3].T > limits[:, 3]).any(axis=1)
             apart = np.abs(x[:, None] - x[hidden]), np.abs(y[:, None] - y[hidden])
-            beside = (np.maximum(*apart) <= BESIDE_PX).any(axis=1)
+            beside = (np.maximum(*apart) <= DIMS_PX).any(axis=1)
             bright = pixels @ own[:3] - own[3]
             for other in limits:
                 cover = np.fmax((pixels @ other[:3] - other[4]) * other[5], 0.0)

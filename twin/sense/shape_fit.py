@@ -35,6 +35,7 @@ from twin.sense.template import (
     CENTRE,
     COLUMNS,
     DIFFERENCE,
+    DIMS_PX,
     DOUBTED,
     EDGE,
     FITS,
@@ -628,9 +629,15 @@ def _signal(picture: Picture, templates: Templates, place: Ints) -> tuple[Floats
     height, width = picture.shape[:2]
     inside = ((place >= 0) & (place < [width, height])).all(axis=2)
     inside &= templates.sites[place[:, :, 1] % 2, place[:, :, 0] % 2] > 0.0
-    column, row = np.clip(place, 0, [width - 1, height - 1]).transpose(2, 0, 1)
-    signal, shown = templates.project(picture)
-    return signal[row, column].astype(float), inside & shown[row, column], np.asarray(inside)
+    within = np.clip(place, 0, [width - 1, height - 1])
+    first = within.min(axis=1) - DIMS_PX
+    wide, high = (within.max(axis=1) + DIMS_PX + 1 - first).max(axis=0, initial=1)
+    window = np.stack(np.meshgrid(np.arange(wide), np.arange(high)), -1)
+    signal, shown = templates.project(picture, first[:, None, None] + window)
+    column, row = (within - first[:, None]).transpose(2, 0, 1)
+    number = np.arange(len(place))[:, None]
+    signal, shown = signal[number, row, column], shown[number, row, column]
+    return signal.astype(float), inside & shown, np.asarray(inside)
 
 
 COARSE, TURNS_OF_WARP = (0.2, 0.07, 0.0), (12, 8, 12, 8)
@@ -865,7 +872,7 @@ class OwnPictures:
 def _views(picture: Picture, templates: Templates) -> tuple[list[Singles], Bools]:
     """Return the projected picture (h, w), blurred by each of `COARSE`; and where no other layer
     shows."""
-    signal, shown = templates.project(picture)
+    (signal,), (shown,) = templates.project(picture)
     signal += templates.own[3]
     blurs = [share * templates.usual_radius_px for share in COARSE]
     return [gaussian_filter(signal, blur) for blur in blurs], shown

@@ -31,7 +31,7 @@ from twin.compiled import njit
 LANES = 16
 """So many pixels of a row are worked on at once."""
 
-HIDDEN, BESIDE, BESIDE_PX = np.float32(-1.0), np.float32(2.0), 2
+HIDDEN, BESIDE, DIMS_PX = np.float32(-1.0), np.float32(2.0), 2
 """Marks of a pixel where another layer shows, and of one so near to it that its blur reaches
 there."""
 
@@ -151,8 +151,8 @@ def _uncover(image, others, sites, column, row, offset, runs, signal, use):
                 if use[runs[i, 3] + p] >= 0.0:
                     continue
                 x = runs[i, 1] + p
-                for k in range(max(i - BESIDE_PX, 0), min(i + BESIDE_PX + 1, len(runs))):
-                    first, last = x - BESIDE_PX - runs[k, 1], x + BESIDE_PX + 1 - runs[k, 1]
+                for k in range(max(i - DIMS_PX, 0), min(i + DIMS_PX + 1, len(runs))):
+                    first, last = x - DIMS_PX - runs[k, 1], x + DIMS_PX + 1 - runs[k, 1]
                     for q in range(max(first, 0), min(last, runs[k, 2])):
                         if use[runs[k, 3] + q] == 1.0:
                             use[runs[k, 3] + q] = BESIDE
@@ -754,18 +754,27 @@ class Templates:
             at[:, :, 3] = at[:, :, 4] + np.fmax(SHOWS * level, SHOWS_DN)
         return at
 
-    def project(self, picture: Picture) -> tuple[Floats, Bools]:
-        """Return the whole picture (h, w) projected as by `gather`, and where it counts."""
-        signal = picture @ self.own[:3] - self.own[3]
-        shown, wide = np.ones(signal.shape, np.bool_), 2 * BESIDE_PX + 1
-        rows, columns = signal.shape
-        places = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2)
-        at = self.others_at(self.others, places if len(self.others) else places[:0], picture.shape)
+    def project(self, picture: Picture, windows: Ints | None = None) -> tuple[Floats, Bools]:
+        """Return pixels (k, h, w) projected as by `gather`, and which of them count: those of
+        ``windows`` (k, h, w, 2), at the border again where these go beyond, or all, k = 1."""
+        height, width = picture.shape[:2]
+        pixels, places = picture[None], windows
+        if windows is not None:
+            column, row = np.clip(windows, 0, [width - 1, height - 1]).transpose(3, 0, 1, 2)
+            pixels = picture[row, column]
+        signal = pixels @ self.own[:3] - self.own[3]
+        shown = np.ones(signal.shape, np.bool_)
+        if not len(self.others):
+            return signal, shown
+        if places is None:
+            places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
+        at = self.others_at(self.others, places.reshape(-1, 2).astype(np.float64), picture.shape)
+        beside = np.ones((1, 2 * DIMS_PX + 1, 2 * DIMS_PX + 1))
         for k in range(len(self.others)):
-            limit, ground, share = at[:, k, 3:].T.reshape(3, rows, columns)
-            here = picture @ self.others[k, :3]
+            limit, ground, share = at[:, k, 3:].T.reshape(3, *signal.shape)
+            here = pixels @ self.others[k, :3]
             hidden = here > limit
-            near = binary_dilation(hidden, np.ones((wide, wide))) & ~hidden
+            near = binary_dilation(hidden, beside) & ~hidden
             signal[near] /= 1.0 - np.fmax((here - ground) * share, 0.0)[near]
             shown &= ~hidden
         return signal, shown
