@@ -108,11 +108,11 @@ class Field(ForceTable):
         places leave nothing), and by `Found.gain_error` and `Found.drift_px`. By ``local`` also by
         where forces are expected, and by the misfit of markers next to them
         (`Factors.misfit_variance`), as where residuals are far above the noise. Of one layer also
-        by how far the totals of forces of one direction lie from them, as large as those found by
-        ``local``, and a narrow load by the others: one layer hardly tells a wide weak load from a
-        narrow strong one, and hardly sees a pressure that is even. Under bounds also by how far the
-        bounded forces' totals lie from these, unless the motion contradicts the bounds
-        (`BY_BOUNDS`).
+        by how far those of forces of one direction lie from them: by ``local`` into the surface,
+        of forces that spread as those found; by the others of a narrow load. One layer hardly tells
+        a wide weak load from a narrow strong one, and hardly sees an even pressure. Under bounds
+        also by how far the bounded forces' totals lie from these, unless the motion contradicts the
+        bounds (`BY_BOUNDS`).
     used
         (n,) which markers took part.
     wrong
@@ -277,9 +277,12 @@ def reconstruct(
     sd_total = _sd_of_totals(found, linear, even, moved, local=METHODS[method].local)
     if len(calibration.layout) == 1 and METHODS[method].weighted:
         unseen = _of_one_way(problem, linear, local=METHODS[method].local) - force
-        sd_total = np.hypot(sd_total, rows @ unseen.ravel())
-        if not METHODS[method].local:
+        if METHODS[method].local:  # sideways these see how much they carry
+            inward = calibration.site_frames[:, 2]
+            unseen = (unseen * inward).sum(axis=1, keepdims=True) * inward
+        else:
             sd_force = np.hypot(sd_force, unseen)
+        sd_total = np.hypot(sd_total, rows @ unseen.ravel())
     kkt = 0.0
     if push_only or friction is not None:
         at = linear.weight
