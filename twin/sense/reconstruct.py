@@ -642,7 +642,8 @@ def _of_one_way(problem: Problem, linear: _Linear, *, local: bool) -> Floats:
     if local:
         patterns = [np.linalg.norm(found, axis=1)]
     else:
-        patterns = [_expected_sizes(problem, found) ** power for power in NARROWER]
+        sizes = _expected_sizes(problem, found)
+        patterns = [sizes**power for power in NARROWER]
     root = np.sqrt(problem.factors.share)
     least = np.inf
     for pattern in patterns:

@@ -289,6 +289,8 @@ class LayerSignal:
             lacks = np.median(away) - np.median(close)
             return max(float(lacks) / max(float(own[number] @ colours[number]), 1.0), 0.0)
 
+        layers = range(len(own))
+        in_front = [[lies_in_front(one, other) for other in layers] for one in layers]
         every = np.array(shows, np.float32).reshape(-1, 16)
         signals = []
         for number, (weights, colour) in enumerate(zip(own, colours, strict=True)):
@@ -298,13 +300,9 @@ class LayerSignal:
             if not in_brightness:
                 mixed = weights + MIXED * mixed
             brightness = None if given else with_ground(mixed / np.abs(mixed).max(), colour)
-            hiding = [
-                rival
-                for rival in range(len(own))
-                if rival != number and not lies_in_front(number, rival)
-            ]
+            hiding = [rival for rival in layers if rival != number and not in_front[number][rival]]
             as_seen = every.copy()  # which lies in front may not be seen
-            as_seen[:, UNCOVERED] *= [lies_in_front(rival, number) for rival in range(len(own))]
+            as_seen[:, UNCOVERED] *= [in_front[rival][number] for rival in layers]
             channel = int(np.abs(weights).argmax())
             one_colour = np.abs(weights[channel]) > ONE_COLOUR * np.abs(weights).sum()
             sites = EVERYWHERE

@@ -31,9 +31,9 @@ from twin.compiled import njit
 LANES = 16
 """So many pixels of a row are worked on at once."""
 
-HIDDEN, BESIDE, DIMS_PX = np.float32(-1.0), np.float32(2.0), 2
-"""Marks of a pixel where another layer shows, and of one so near to it that its blur reaches
-there."""
+HIDDEN, DIMMED, DIMS_PX = np.float32(-1.0), np.float32(2.0), 2
+"""Marks of a pixel where another layer shows, and of one so near to it that its blur reaches there;
+and how near that is."""
 
 
 @lru_cache(maxsize=64)
@@ -155,9 +155,9 @@ def _uncover(image, others, sites, column, row, offset, runs, signal, use):
                     first, last = x - DIMS_PX - runs[k, 1], x + DIMS_PX + 1 - runs[k, 1]
                     for q in range(max(first, 0), min(last, runs[k, 2])):
                         if use[runs[k, 3] + q] == 1.0:
-                            use[runs[k, 3] + q] = BESIDE
+                            use[runs[k, 3] + q] = DIMMED
         for p in range(offset.shape[1] if least < 0.0 else 0):
-            if use[p] == BESIDE:
+            if use[p] == DIMMED:
                 x, y = column + offset[0, p], row + offset[1, p]
                 r = np.float32(image[y, x, 0])
                 g = np.float32(image[y, x, 1])
