@@ -76,6 +76,64 @@ ROUND_OFF = 1e-14
 """Squared singular values of a weighted problem, over the largest, that are round-off."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Tried:
+    """Weights that are tried on a spectrum, and what rules need of them whatever the data are.
+
+    Attributes
+    ----------
+    decades
+        (t,) of the weights over the largest squared singular value.
+    left
+        (t, r) w/(S^2 + w): what a weight leaves of the data along a singular direction.
+    squared
+        (t, r) its squares.
+    log_gain
+        (t,) sum of log(1 + S^2/w).
+    per_square
+        (t,) the cross-validated score over the squared residual; see `_cross_validated`.
+    """
+
+    decades: Floats
+    left: Floats
+    squared: Floats
+    log_gain: Floats
+    per_square: Floats
+
+
+class _Trials:
+    """The weights that are tried on squared singular values (r,) of ``count`` data: `all_decades`,
+    then those around the best one."""
+
+    def __init__(self, squared: Floats, count: int) -> None:
+        self._relative, self._count = squared / squared.max(), count
+        self._near: dict[float, _Tried] = {}
+        self.all_decades = self._at(DECADES)
+
+    def around(self, decade: float) -> _Tried:
+        """Return those around one of `DECADES`."""
+        near = self._near.get(decade)
+        if near is None:
+            step = DECADES[1] - DECADES[0]
+            near = self._at(np.minimum(decade + step * STEPS, MOST_DECADES))
+            self._near[decade] = near
+        return near
+
+    def _at(self, decades: Floats) -> _Tried:
+        weight = 10.0 ** decades[:, None]
+        left = weight / (self._relative + weight)
+        squared = left**2
+        kept = ((1.0 - left) ** 2).sum(axis=1) / self._count
+        freedom = (left.sum(axis=1) + self._count - left.shape[1]) / self._count
+        return _Tried(
+            decades=decades,
+            left=left,
+            squared=squared,
+            log_gain=-np.log(left).sum(axis=1),
+            per_square=(ROBUSTNESS + (1.0 - ROBUSTNESS) * kept) / freedom**2,
+        )
+
+
 def _automatic(seen: Factors.Spectrum) -> float:
     """Return the larger of `LIKELY` times the most likely weight and the cross-validated one.
 
@@ -94,10 +152,9 @@ def _most_likely(seen: Factors.Spectrum) -> float:
     errors count as noise.
     """
 
-    def minus_log(weight: Floats) -> Floats:
-        gain = 1.0 + seen.squared / weight[:, None]
-        scale = ((seen.energy / gain).sum(axis=1) + seen.outside) / seen.count
-        return np.asarray(seen.count * np.log(scale) + np.log(gain).sum(axis=1))
+    def minus_log(tried: _Tried) -> Floats:
+        scale = (tried.left @ seen.energy + seen.outside) / seen.count
+        return np.asarray(seen.count * np.log(scale) + tried.log_gain)
 
     return _least(minus_log, seen)
 
@@ -110,27 +167,25 @@ def _cross_validated(seen: Factors.Spectrum) -> float:
     Lukas, Inverse Problems 22 (2006) 1883).
     """
 
-    def log_score(weight: Floats) -> Floats:
-        left = weight[:, None] / (seen.squared + weight[:, None])
-        residual = (left**2 * seen.energy).sum(axis=1) + seen.outside
-        influence = ROBUSTNESS + (1.0 - ROBUSTNESS) * ((1.0 - left) ** 2).sum(axis=1) / seen.count
-        freedom = (left.sum(axis=1) + seen.count - len(seen.squared)) / seen.count
-        return np.asarray(np.log(residual * influence / freedom**2))
+    def log_score(tried: _Tried) -> Floats:
+        residual = tried.squared @ seen.energy + seen.outside
+        return np.asarray(np.log(residual * tried.per_square))
 
     return _least(log_score, seen)
 
 
-def _least(objective: Callable[[Floats], Floats], seen: Factors.Spectrum) -> float:
+def _least(objective: Callable[[_Tried], Floats], seen: Factors.Spectrum) -> float:
     """Search the logarithm of the weight from `LEAST_DECADES` to `MOST_DECADES`."""
     top = float(seen.squared.max(initial=0.0))
     if top <= 0.0 or not (seen.energy.any() or seen.rest > 0.0):
         return max(top, 1.0)
-    decades, best, step = DECADES, 0.0, DECADES[1] - DECADES[0]
-    for _ in range(2):
-        values = objective(top * 10.0**decades)
-        best = float(decades[values <= values.min() + FLAT].max())
-        decades = np.minimum(best + step * STEPS, MOST_DECADES)
-    return float(top * 10.0**best)
+
+    def best(tried: _Tried) -> float:
+        values = objective(tried)
+        return float(tried.decades[values <= values.min() + FLAT].max())
+
+    trials = seen.trials
+    return float(top * 10.0 ** best(trials.around(best(trials.all_decades))))
 
 
 RULES: dict[WeightRule, Callable[[Factors.Spectrum], float]] = {
@@ -147,17 +202,56 @@ class Factors:
 
     Attributes
     ----------
-    left
-        (m, r) U.
-    singular
-        (r,) S.
-    back
-        (3k, r) L^-T V: from the reduced unknowns to forces.
-    null
-        (3k, 3k - r) the same for directions that no marker sees.
+    modes
+        The decomposition, of data in some unit.
+    size
+        Noise of the data in that unit.
     share
         (m,) information of every datum over its usual one; 0 for lost data.
     """
+
+    @dataclass(frozen=True, kw_only=True, eq=False)
+    class Modes:
+        """A singular value decomposition H L^-T = U S V^T, and what many pictures need of it.
+
+        Attributes
+        ----------
+        left
+            (m, r) U.
+        singular
+            (r,) S.
+        back
+            (3k, r) L^-T V: from the reduced unknowns to forces.
+        null
+            (3k, 3k - r) the same for directions that no marker sees.
+        """
+
+        left: Floats
+        singular: Floats
+        back: Floats
+        null: Floats
+
+        @cached_property
+        def trials(self) -> _Trials:
+            """The weights that rules try where all data are the usual ones."""
+            return _Trials(self.singular**2, len(self.left))
+
+        @cached_property
+        def squares(self) -> tuple[Floats, Floats]:
+            """(3k, r) squares of ``back``, and (3k,) their sums of ``null``."""
+            return self.back**2, (self.null**2).sum(1)
+
+        def along(self, rows: Floats) -> tuple[Floats, Floats]:
+            """Return ``rows`` (q, 3k) times ``back`` and ``null``; kept for the last rows, which
+            are mostly those of the totals."""
+            last = self._last.get("rows")
+            if last is None or last[0] is not rows:
+                self._last["rows"] = last = (rows, rows @ self.back, rows @ self.null)
+            return last[1:]
+
+        @cached_property
+        def _last(self) -> dict[str, tuple[Floats, Floats, Floats]]:
+            return {}
 
     @dataclass(frozen=True, kw_only=True)
     class Spectrum:
@@ -173,12 +267,16 @@ class Factors:
             What of |d|^2 lies outside U.
         count
             Number of data.
+        usual
+            The weights that are tried, where other pictures have these squared singular values,
+            too, up to a factor.
         """
 
         squared: Floats
         energy: Floats
         rest: float
         count: int
+        usual: _Trials | None = None
 
         @property
         def outside(self) -> float:
@@ -190,11 +288,19 @@ class Factors:
             """The most likely weight, whitened, which several rules start from."""
             return _most_likely(self)
 
-    left: Floats
-    singular: Floats
-    back: Floats
-    null: Floats
+        @cached_property
+        def trials(self) -> _Trials:
+            """The weights that are tried."""
+            return self.usual or _Trials(self.squared, self.count)
+
+    modes: Modes
+    size: float = 1.0
     share: Floats
+
+    @cached_property
+    def singular(self) -> Floats:
+        """(r,) S of the whitened problem."""
+        return self.modes.singular / self.size
 
     @classmethod
     def of(cls, transfer: Floats, penalty: Floats) -> Factors:
@@ -205,13 +311,10 @@ class Factors:
         left, singular, right = scipy.linalg.svd(reduced, full_matrices=len(reduced) < len(penalty))
         back = scipy.linalg.solve_triangular(lower.T, right.T, lower=False)
         count = len(singular)
-        return cls(
-            left=left[:, :count],
-            singular=singular,
-            back=back[:, :count],
-            null=back[:, count:],
-            share=np.ones(len(left)),
+        modes = cls.Modes(
+            left=left[:, :count], singular=singular, back=back[:, :count], null=back[:, count:]
         )
+        return cls(modes=modes, share=np.ones(len(left)))
 
     def of_some(self, rows: Bools, scale: Floats) -> Factors:
         """Return the factors of some rows of the matrix, (m,), each times its scale (u,).
@@ -219,7 +322,8 @@ class Factors:
         Where data are fewer than unknowns, this takes a quarter of the time of `of`: most by the
         squares of the singular values, unless these are too far apart for double precision.
         """
-        part = scale[:, None] * (self.left[rows] * self.singular)
+        modes = self.modes
+        part = scale[:, None] * (modes.left[rows] * self.singular)
         count = min(part.shape)
         right = np.linalg.eigh(part.T @ part)[1][:, ::-1]
         left = part @ right[:, :count]
@@ -229,14 +333,11 @@ class Factors:
         else:
             left, singular, across = scipy.linalg.svd(part, full_matrices=count == len(part))
             right = across.T
-        back = self.back @ right
-        return Factors(
-            left=left,
-            singular=singular,
-            back=back[:, :count],
-            null=np.hstack([self.null, back[:, count:]]) if count < len(right) else self.null,
-            share=np.ones(len(part)),
-        )
+        back, null = modes.back @ right, modes.null
+        if count < len(right):
+            null = np.hstack([null, back[:, count:]])
+        modes = self.Modes(left=left, singular=singular, back=back[:, :count], null=null)
+        return Factors(modes=modes, share=np.ones(len(part)))
 
     @cached_property
     def rows(self) -> Ints:
@@ -246,12 +347,12 @@ class Factors:
     def forces(self, data: Floats, weight: float) -> Floats:
         """Return (k, 3) forces of whitened data, N."""
         _, along = self._completed(data, weight)
-        return np.asarray((self.back @ (self._filtered(weight) * along)).reshape(-1, 3))
+        return np.asarray((self.modes.back @ (self._filtered(weight) * along)).reshape(-1, 3))
 
     def sums(self, rows: Floats, data: Floats, weight: float) -> Floats:
         """Return (c, q) ``rows`` (q, 3k) times the forces of (c, m) whitened data."""
         _, along = self._completed(data.T, weight)
-        return np.asarray(((rows @ self.back * self._filtered(weight)) @ along).T)
+        return np.asarray(((self.modes.along(rows)[0] * self._filtered(weight)) @ along).T)
 
     def filled(self, data: Floats, weight: float) -> Floats:
         """Return (m,) or (m, q) data of which the usual solution is the weighted one; lost data
@@ -262,12 +363,12 @@ class Factors:
         """Return `filled` data, and U^T of them."""
         rows = self.rows
         if not len(rows):
-            return data, np.asarray(self.left.T @ data)
+            return data, np.asarray(self.modes.left.T @ data)
         usual = data.copy()
         usual[rows] = 0.0
-        others = self.left.T @ usual
+        others = self.modes.left.T @ usual
         keep = self._keep(weight)
-        some, lack = self.left[rows], (1.0 - self.share[rows])[:, None]
+        some, lack = self.modes.left[rows], (1.0 - self.share[rows])[:, None]
         columns = data.reshape(len(data), -1).copy()
         along = others.reshape(len(others), -1)
         measured = self.share[rows][:, None] * columns[rows]
@@ -285,7 +386,7 @@ class Factors:
     def predicted(self, data: Floats, weight: float) -> Floats:
         """Return H F of data."""
         _, along = self._completed(data, weight)
-        return np.asarray(self.left @ (self._keep(weight) * along.T).T)
+        return np.asarray(self.modes.left @ (self._keep(weight) * along.T).T)
 
     def weight(self, rule: WeightRule, data: Floats) -> float:
         """Return the weight that one of `RULES` chooses for the data."""
@@ -301,7 +402,7 @@ class Factors:
     def freedom(self, weight: float) -> float:
         """Return the degrees of freedom of the residual over the number of data."""
         fitted = float((self.singular * self._filtered(weight)).sum())
-        return 1.0 - fitted / len(self.left)
+        return 1.0 - fitted / len(self.modes.left)
 
     def noise_scale(self, data: Floats, weight: float) -> float:
         """Return how much larger the noise is than stated, as the marginal likelihood at ``weight``
@@ -326,10 +427,9 @@ class Factors:
         marker sees keep their prior variance. For weight 0 that of the noise carried through the
         pseudo-inverse.
         """
-        seen = rows @ self.back
+        seen, unseen = self.modes.along(rows)
         if weight <= 0:
             return np.asarray((seen * self._filtered(0.0) ** 2) @ seen.T)
-        unseen = rows @ self.null
         usual = (seen / (self.singular**2 + weight)) @ seen.T + unseen @ unseen.T / weight
         if not len(self.rows):
             return np.asarray(usual)
@@ -345,7 +445,7 @@ class Factors:
         at a time: a residual over the root of its share of freedom, times what it moves.
         """
         root = np.sqrt(self.share)
-        seen = root[:, None] * self.left * self.singular
+        seen = root[:, None] * self.modes.left * self.singular
         count = len(self.singular)
         stiffness = seen.T @ seen + weight * np.eye(count)
         inverse = np.linalg.solve(stiffness, seen.T) if weight > 0 else np.linalg.pinv(seen)
@@ -353,7 +453,7 @@ class Factors:
         freedom, axes = np.linalg.eigh(np.eye(2) - fitted)
         residual = (root * (data - self.predicted(data, weight))).reshape(-1, 2, 1)
         error = axes @ (axes.mT @ residual / np.sqrt(np.maximum(freedom, ROUND_OFF))[:, :, None])
-        moves = (rows @ self.back @ inverse).reshape(len(rows), -1, 2).transpose(1, 0, 2)
+        moves = (self.modes.along(rows)[0] @ inverse).reshape(len(rows), -1, 2).transpose(1, 0, 2)
         found = ((moves @ error)[:, :, 0] ** 2).sum(axis=0)
         noise = even**2 * (moves**2).sum(axis=(0, 2))
         return np.asarray(np.maximum(found - noise, 0.0))
@@ -367,27 +467,28 @@ class Factors:
         to 2.5 times.
         """
         if weight <= 0:
-            return np.asarray((self.back**2) @ self._filtered(0.0) ** 2)
+            return np.asarray(self.modes.squares[0] @ self._filtered(0.0) ** 2)
         each = 1.0 / (self.singular**2 + weight)
         excess = weight / likely - 1.0
-        variance = (1.0 + excess) * (self.null**2).sum(1) / weight
+        squared_back, unseen = self.modes.squares
+        variance = (1.0 + excess) * unseen / weight
         if not len(self.rows):  # back^T Q back is the unit matrix
-            return np.asarray(variance + self.back**2 @ (each + excess * weight * each**2))
+            return np.asarray(variance + squared_back @ (each + excess * weight * each**2))
         response, more = self._more(weight)
         widened = more @ response
-        smoothed = each[:, None] * self.back.T
-        smoothed += (self.left[self.rows] * (self.singular * each)).T @ widened
-        variance += self.back**2 @ each + np.einsum("si,si->i", response, widened)
+        smoothed = each[:, None] * self.modes.back.T
+        smoothed += (self.modes.left[self.rows] * (self.singular * each)).T @ widened
+        variance += squared_back @ each + np.einsum("si,si->i", response, widened)
         return np.asarray(variance + excess * weight * (smoothed**2).sum(axis=0))
 
     def _spectrum(self, data: Floats) -> Factors.Spectrum:
         """Return the weighted problem's spectrum; lost data must be finite."""
         rows, known = self.rows, self.share * data
         count = int((self.share > 0).sum())
-        pull = self.left.T @ known
+        pull = self.modes.left.T @ known
         squared, energy = self.singular**2, pull**2
         if len(rows):
-            some = self.left[rows] * self.singular
+            some = self.modes.left[rows] * self.singular
             gram = np.diag(squared) - (some.T * (1.0 - self.share[rows])) @ some
             squared, turn = (found[..., -count:] for found in np.linalg.eigh(gram))
             squared = np.maximum(squared, ROUND_OFF * squared.max(initial=np.finfo(float).tiny))
@@ -395,7 +496,8 @@ class Factors:
         rest = 0.0  # what lies outside is round-off where U is square
         if count > len(squared):
             rest = max(float(known @ data) - float(energy.sum()), 0.0)
-        return Factors.Spectrum(squared=squared, energy=energy, rest=rest, count=count)
+        usual = None if len(rows) else self.modes.trials
+        return Factors.Spectrum(squared=squared, energy=energy, rest=rest, count=count, usual=usual)
 
     def _filtered(self, weight: float) -> Floats:
         """Return (r,) factors S/(S^2 + weight); weight 0 is the pseudo-inverse, cut at round-off
@@ -403,7 +505,7 @@ class Factors:
         singular = self.singular
         if weight > 0:
             return np.asarray(singular / (singular**2 + weight))
-        size = max(self.left.shape[0], self.back.shape[0])
+        size = max(self.modes.left.shape[0], self.modes.back.shape[0])
         cut = size * np.finfo(float).eps * singular.max(initial=0.0)
         inverse = np.divide(1.0, singular, out=np.zeros_like(singular), where=singular > cut)
         return np.asarray(inverse)
@@ -416,8 +518,8 @@ class Factors:
         """Return C H_s^T as (s, 3k) and the (s, s) matrix that widens the covariance C by what the
         data s lack."""
         rows, singular = self.rows, self.singular
-        some, lack = self.left[rows], 1.0 - self.share[rows]
-        response = (some * (singular / (singular**2 + weight))) @ self.back.T
+        some, lack = self.modes.left[rows], 1.0 - self.share[rows]
+        response = (some * (singular / (singular**2 + weight))) @ self.modes.back.T
         inner = np.eye(len(rows)) - ((some * self._keep(weight)) @ some.T) * lack
         more = lack[:, None] * np.linalg.inv(inner)
         return response, (more + more.T) / 2
@@ -553,14 +655,13 @@ class Problem:
             )
         known, noise, share = _weights(found, calibration, used, METHODS[method].weighted)
         base = _base(calibration, METHODS[method], known, noise)
-        singular = base.factors.singular / float(noise.mean())
         return cls(
             calibration=calibration,
             used=used,
             known=known,
             noise_px=noise,
             base=base,
-            factors=replace(base.factors, singular=singular, share=np.repeat(share, 2)),
+            factors=replace(base.factors, size=float(noise.mean()), share=np.repeat(share, 2)),
         )
 
     @property

@@ -680,8 +680,9 @@ def _localised(problem: Problem, force_n: Floats) -> Problem:
     factors = Factors.of(whole.transfer[:, carries], penalty)
     everywhere = np.eye(len(carries))
     everywhere[np.ix_(carries, carries)] = penalty
-    back, null = (np.zeros((len(carries), part.shape[1])) for part in (factors.back, factors.null))
-    back[carries], null[carries] = factors.back, factors.null
+    modes = factors.modes
+    back, null = (np.zeros((len(carries), part.shape[1])) for part in (modes.back, modes.null))
+    back[carries], null[carries] = modes.back, modes.null
     base = replace(
         whole,
         transfer=np.where(carries, whole.transfer, 0.0),
@@ -689,11 +690,9 @@ def _localised(problem: Problem, force_n: Floats) -> Problem:
         gram={},
         quadratics={},
     )
-    factors = replace(
-        factors,
-        singular=factors.singular / problem.size_px,
-        back=back,
-        null=null,
+    factors = Factors(
+        modes=replace(modes, back=back, null=null),
+        size=problem.size_px,
         share=problem.factors.share,
     )
     return replace(problem, base=base, factors=factors)
@@ -740,7 +739,7 @@ def _solved_locally(
         part, data = _with_model_error(problem, whole, before)
         found = _solved(_localised(part, before), data, rule, robust, camera)
     moved = (found.force_n - before).sum(axis=0)
-    carries = found.problem.factors.back.any(axis=1).reshape(-1, 3)
+    carries = found.problem.factors.modes.back.any(axis=1).reshape(-1, 3)
     sd_force = np.hypot(found.sd_force_n, _sd_by_place(found))
     return found, np.where(carries, sd_force, smooth.sd_force_n), moved
 
