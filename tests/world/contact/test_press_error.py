@@ -236,6 +236,14 @@ def test_a_force_leaves_an_error_of_depth_in_the_step_after_it_too():
         assert off < stated < max(6.0 * off, 5e-3)
 
 
+def test_where_a_rubbed_object_has_its_holes_is_no_invalid_value():
+    """Beside the teeth of a gear no object is over the patches, whose gap is endless there."""
+    gear = Press(probe=Object(shape="gear"), friction=0.8, force_n=(0.1, -0.2, 0.5))
+    state, finer = (pressed(gear, across=across) for across in (8, 18))
+    _, off = relative(finer, state)
+    assert off < state.error.indentation < max(10.0 * off, 5e-3)
+
+
 def test_two_probes_tell_the_larger_error():
     far = ball(10, at_mm=(20, 0), indentation_mm=0.1)
     both = ball(10, at_mm=(-20, 0), force_n=(0, 0, 0.2), also=(far,))

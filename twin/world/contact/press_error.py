@@ -760,8 +760,8 @@ class _Border:
             middle = (low + high) / 2.0
             outside = gap_at(middle) > 0.0
             low, high = np.where(outside, low, middle), np.where(outside, middle, high)
-        # 2. There the gap grows many times as fast as within.
-        at_end = gap_at(low)
+        # 2. There the gap grows many times as fast as within. (It is endless off the object.)
+        at_end = np.where(ends, gap_at(low), 0.0)
         inner = at_end - gap_at(low - 1.0)
         outer = (gap_at(high + _STEP) - at_end) / _STEP
         return ends & (outer > _FOLDED * np.maximum(inner, 0.0)), low
