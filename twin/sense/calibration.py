@@ -438,8 +438,12 @@ class Calibration:
     @property
     def layout(self) -> dict[str, Pixels]:
         """Nominal rest positions by layer, px: what `track` takes."""
-        names = dict.fromkeys(str(name) for name in self.layer)
-        return {name: np.asarray(self.layout_px[self.layer == name]) for name in names}
+        return {name: np.asarray(self.layout_px[self.layer == name]) for name in self.layers}
+
+    @cached_property
+    def layers(self) -> tuple[str, ...]:
+        """The layers' names."""
+        return tuple(dict.fromkeys(str(name) for name in self.layer))
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a calibration file (npz), whole or not at all."""

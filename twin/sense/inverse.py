@@ -27,9 +27,11 @@ again where more data are concerned).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from threading import Lock
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -182,7 +184,8 @@ def _least(objective: Callable[[_Tried], Floats], seen: Factors.Spectrum) -> flo
 
     def best(tried: _Tried) -> float:
         values = objective(tried)
-        return float(tried.decades[values <= values.min() + FLAT].max())
+        last = (values <= values.min() + FLAT)[::-1].argmax()
+        return float(tried.decades[-1 - last])
 
     trials = seen.trials
     return float(top * 10.0 ** best(trials.around(best(trials.all_decades))))
@@ -415,7 +418,7 @@ class Factors:
             squared = seen.rest
             if weight > 0:
                 squared += float(seen.energy @ (weight / (seen.squared + weight)))
-        count = int((self.share > 0).sum())
+        count = int(np.count_nonzero(self.share > 0))
         if weight <= 0:
             squared, count = squared + 1.0, count - len(self.singular) + 1
         return float(np.sqrt(squared / max(count, 1)))
@@ -483,8 +486,11 @@ class Factors:
 
     def _spectrum(self, data: Floats) -> Factors.Spectrum:
         """Return the weighted problem's spectrum; lost data must be finite."""
+        last = self._last.get("seen")
+        if last is not None and last[0] is data:
+            return last[1]
         rows, known = self.rows, self.share * data
-        count = int((self.share > 0).sum())
+        count = int(np.count_nonzero(self.share > 0))
         pull = self.modes.left.T @ known
         squared, energy = self.singular**2, pull**2
         if len(rows):
@@ -497,7 +503,14 @@ class Factors:
         if count > len(squared):
             rest = max(float(known @ data) - float(energy.sum()), 0.0)
         usual = None if len(rows) else self.modes.trials
-        return Factors.Spectrum(squared=squared, energy=energy, rest=rest, count=count, usual=usual)
+        seen = Factors.Spectrum(squared=squared, energy=energy, rest=rest, count=count, usual=usual)
+        self._last["seen"] = (data, seen)
+        return seen
+
+    @cached_property
+    def _last(self) -> dict[str, tuple[Floats, Factors.Spectrum]]:
+        """The last data whose spectrum was asked for, which weight and noise both are."""
+        return {}
 
     def _filtered(self, weight: float) -> Floats:
         """Return (r,) factors S/(S^2 + weight); weight 0 is the pseudo-inverse, cut at round-off
@@ -586,6 +599,9 @@ MOST_UNUSUAL = 0.25
 """Share of the markers that may be weighed otherwise before the problem is factorised again."""
 
 KEPT, KEPT_WEIGHTS = 8, 4
+_ordering = Lock()
+"""Held where what was used last is moved: a thread that found nothing meanwhile would factorise."""
+
 _kept: WeakKeyDictionary[Calibration, dict[tuple[object, bytes], _Base]] = WeakKeyDictionary()
 
 
@@ -647,7 +663,7 @@ class Problem:
                 f"({len(calibration.layer)}): track with calibration.layout"
             )
         used = np.asarray(found.seen & calibration.calibrated)
-        if used.sum() < 2:
+        if np.count_nonzero(used) < 2:
             raise InputError(
                 f"only {int(used.sum())} of {len(used)} markers were found in both pictures, at "
                 "least 2 are needed: check exposure, layout, channels and compression (colours of "
@@ -661,15 +677,17 @@ class Problem:
             known=known,
             noise_px=noise,
             base=base,
-            factors=replace(base.factors, size=float(noise.mean()), share=np.repeat(share, 2)),
+            factors=Factors(
+                modes=base.factors.modes, size=float(noise.mean()), share=np.repeat(share, 2)
+            ),
         )
 
-    @property
+    @cached_property
     def size_px(self) -> float:
         """Mean noise, px."""
         return float(self.noise_px.mean())
 
-    @property
+    @cached_property
     def omega(self) -> float:
         """The papers' weight over the whitened one, px^2."""
         return 2.0 * float(1.0 / np.mean(1.0 / self.noise_px**2))
@@ -677,7 +695,7 @@ class Problem:
     def whiten(self, shift_px: Floats) -> Floats:
         """Return (m,) data of (n, 2) shifts of all markers; 0 for lost ones."""
         shift = np.where(self.used[:, None], shift_px, 0.0)[self.known]
-        return np.asarray(shift.ravel() / np.repeat(self.noise_px, 2))
+        return np.asarray((shift / self.noise_px[:, None]).ravel())
 
     def shifts_of(self, force_n: Floats) -> Floats:
         """Return (m,) whitened data that (k, 3) forces make, by the linear map."""
@@ -714,13 +732,21 @@ class Problem:
     def in_classes(noise: Floats) -> Floats:
         """Return (u,) noise per marker, px: the same for all where it hardly differs, else in
         classes."""
-        ranks = np.linspace(0.0, 1.0, len(noise))
-        shares = [0.0, 0.1, 0.5, 0.9, 1.0]
-        least, low, usual, most, high = np.interp(shares, ranks, np.sort(noise))
+        ranked = np.sort(noise)
+        low, usual, most = (_at_share(ranked, share) for share in (0.1, 0.5, 0.9))
+        least, high = ranked[0], ranked[-1]
         even = most <= EVEN_NOISE * low and high <= 2 * EVEN_NOISE * low
         if even or high <= EVEN_NOISE * least:
-            return np.full(len(noise), np.sqrt(np.mean(noise**2)))
+            return np.full(len(noise), math.sqrt(noise @ noise / len(noise)))
         return np.asarray(usual * CLASS ** np.rint(np.log(noise / usual) / np.log(CLASS)))
+
+
+def _at_share(ranked: Floats, share: float) -> float:
+    """Return what a share of ascending values lies below, interpolated between them."""
+    place = share * (len(ranked) - 1)
+    before = int(place)
+    after = min(before + 1, len(ranked) - 1)
+    return float(ranked[before] + (place - before) * (ranked[after] - ranked[before]))
 
 
 def _into_frames(matrix: Floats, frames: Floats) -> Floats:
@@ -739,9 +765,9 @@ def _weights(
     has of its weight."""
     own = np.where(np.isfinite(found.sd_px) & (found.sd_px > 0), found.sd_px, calibration.noise_px)
     usual = found.usual_sd_px
-    if usual is not None and weighted:
+    unknowns = calibration.transfer.shape[1]
+    if usual is not None and weighted and 2 * len(usual) >= unknowns:
         known = np.asarray(calibration.calibrated & np.isfinite(usual))
-        unknowns = calibration.transfer.shape[1]
         if 2 * known.sum() >= unknowns and not (used & ~known).any():
             noise = Problem.in_classes(usual[known])
             ratio, here = own[known] / noise, used[known]
@@ -751,7 +777,7 @@ def _weights(
             count = int((share != 1.0).sum())
             if count <= MOST_UNUSUAL * len(noise) and 2 * (len(noise) - count) >= unknowns:
                 return known, noise * size, share
-    return used, Problem.in_classes(own[used]), np.ones(int(used.sum()))
+    return used, Problem.in_classes(own[used]), np.ones(np.count_nonzero(used))
 
 
 def _make_room(kept: dict[Any, Any], most: int) -> None:
@@ -768,7 +794,10 @@ def _base(calibration: Calibration, method: InverseMethod, known: Bools, noise: 
     even = bool(np.all(noise == noise[0]))
     pattern = (noise / noise.mean()).round(6) if not even else np.ones(1)
     key = (method.penalty, known.tobytes() + pattern.tobytes())
-    base = kept.pop(key, None)
+    with _ordering:  # as the last that goes
+        base = kept.pop(key, None)
+        if base is not None:
+            kept[key] = base
     if base is None:
         scale = np.repeat(noise.mean() / noise, 2)
         whitened = scale[:, None] * calibration.transfer[np.repeat(known, 2)]
@@ -783,5 +812,5 @@ def _base(calibration: Calibration, method: InverseMethod, known: Bools, noise: 
             factors = whole.factors.of_some(np.repeat(known[every], 2), scale)
         base = _Base(transfer=whitened, penalty=penalty, factors=factors, gram={}, quadratics={})
         _make_room(kept, KEPT)
-    kept[key] = base  # as the last that goes
+        kept[key] = base
     return base

@@ -28,6 +28,7 @@ effect. Turns and zooms of the camera are not estimated.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
@@ -275,7 +276,7 @@ def reconstruct(
     totals = rows @ force.ravel()
     even = min(linear.scale, MOST_EVEN) if isinstance(weight, str) else linear.scale
     sd_total = _sd_of_totals(found, linear, even, moved, local=METHODS[method].local)
-    if len(calibration.layout) == 1 and METHODS[method].weighted:
+    if len(calibration.layers) == 1 and METHODS[method].weighted:
         unseen = _of_one_way(problem, linear, local=METHODS[method].local) - force
         if METHODS[method].local:  # sideways these see how much they carry
             inward = calibration.site_frames[:, 2]
@@ -325,20 +326,20 @@ def _sd_of_totals(
     problem, weight = linear.problem, linear.weight
     calibration, factors = problem.calibration, problem.factors
     rows = calibration.total_rows
-    variance = even**2 * np.diag(factors.covariance(weight, rows))
+    variance = even**2 * factors.covariance(weight, rows).diagonal()
     if local or even < linear.scale:
         variance = variance + factors.misfit_variance(linear.data, weight, rows, even)
-    sd = np.sqrt(variance)
-    sd[:3] = np.hypot(sd[:3], moved)
-    totals = rows @ linear.force_n.ravel()
-    sd = np.hypot(sd, np.hypot(calibration.scale_error, found.gain_error) * totals)
+    variance[:3] += moved**2
     # torques about x and y are mostly made by forces along z
-    sd = np.hypot(sd, calibration.read_error[[0, 1, 2, 2, 2, 0]] * totals)
-    sd = np.hypot(sd, linear.totals_left_open)
+    x, y, z = calibration.read_error**2
+    factor = calibration.scale_error**2 + found.gain_error**2
+    share = factor + np.array([x, y, z, z, z, x])
+    variance += share * (rows @ linear.force_n.ravel()) ** 2
+    variance += linear.totals_left_open**2
     if np.any(found.drift_px):
-        drift = problem.whiten(found.drift_px * np.ones_like(found.shift_px))
-        sd = np.hypot(sd, factors.sums(rows, drift[None], weight)[0])
-    return np.asarray(sd)
+        drift = problem.whiten(found.drift_px + np.zeros(found.shift_px.shape))
+        variance += factors.sums(rows, drift[None], weight)[0] ** 2
+    return np.asarray(np.sqrt(variance))
 
 
 def _relaxed(field: Field, history: Hereditary, seconds: float) -> Field:
@@ -492,20 +493,17 @@ SETTLED = 1e-4
 class _Linear:
     """A solution of ``problem`` without bounds, for a whitened weight. ``whole``, ``off`` and
     ``bend`` are (m,) whitened data, and what wrong vectors and the camera's bend add to them;
-    ``wrong`` (m/2,) the wrong vectors; ``likely`` the most likely weight, or a given one."""
+    ``data`` is what was solved for, without these; ``wrong`` (m/2,) the wrong vectors; ``likely``
+    the most likely weight, or a given one."""
 
     problem: Problem
     whole: Floats
     off: Floats
     bend: Floats
+    data: Floats
     weight: float
     likely: float
     wrong: Bools
-
-    @property
-    def data(self) -> Floats:
-        """(m,) whitened data that were solved for."""
-        return np.asarray(self.whole - self.off - self.bend)
 
     @cached_property
     def force_n(self) -> Floats:
@@ -546,7 +544,7 @@ class _Linear:
             lacking.append((known.by_thickness @ single).reshape(-1, 2).astype(np.float64))
         if known.by_depth.size:
             deeper = (known.by_depth @ single).reshape(-1, 2).astype(np.float64)
-            for name in known.layout:
+            for name in known.layers:
                 lacking.append(np.where((known.layer == name)[:, None], deeper, 0.0))
         if len(known.by_camera):
             motion = (known.compliance @ single).reshape(-1, 3, 1)
@@ -555,14 +553,13 @@ class _Linear:
         if lacking:
             data = np.stack([problem.whiten(shift) for shift in lacking])
             taken = problem.factors.sums(known.total_rows, data, self.weight)
-        size = np.linalg.norm(known.total_rows[:3] @ force.ravel())
-        share = np.linalg.norm(force, axis=1, keepdims=True)
-        centre = (share * known.site_mm).sum(axis=0) / max(float(share.sum()), np.finfo(float).tiny)
-        levers = [np.ones(3), np.hypot(centre[[1, 2, 0]], centre[[2, 0, 1]])]
-        axis = known.mesh_error * size
+        axis = known.mesh_error * float(np.linalg.norm(force.sum(axis=0)))
         if known.by_load_cell.size:
-            axis = np.hypot(axis, np.linalg.norm(known.by_load_cell @ single))
-        return np.asarray(np.sqrt((taken**2).sum(axis=0) + (axis * np.concatenate(levers)) ** 2))
+            axis = math.hypot(axis, np.linalg.norm(known.by_load_cell @ single))
+        share = np.sqrt((force**2).sum(axis=1))
+        x, y, z = share @ known.site_mm / max(float(share.sum()), np.finfo(float).tiny)
+        levers = np.array([1.0, 1.0, 1.0, math.hypot(y, z), math.hypot(z, x), math.hypot(x, y)])
+        return np.asarray(np.sqrt((taken**2).sum(axis=0) + (axis * levers) ** 2))
 
     @property
     def sd_force_n(self) -> Floats:
@@ -579,8 +576,9 @@ def _solved(
     off, bend = np.zeros_like(whole), np.zeros_like(whole)
     wrong: Bools = np.zeros(len(whole) // 2, np.bool_)
     whitened = likely = 0.0 if isinstance(weight, str) else float(weight) / problem.omega
+    data = whole
     for count in range(MOST):
-        data, before = whole - off - bend, off + bend
+        before = off + bend
         if isinstance(weight, str) and count < 2 * SOFT:  # later it stays, so that this settles
             whitened, likely = factors.weights(weight, data)
         if not robust and not camera:
@@ -591,6 +589,7 @@ def _solved(
             residual = whole - bend - factors.predicted(data, whitened)
             freedom = factors.freedom(whitened)
             off, wrong = _excess(residual, factors.share, freedom, leave_out=count >= SOFT)
+        data = whole - off - bend
         if count > (SOFT if robust else 0) and np.abs(off + bend - before).max() < SETTLED:
             break
     return _Linear(
@@ -598,6 +597,7 @@ def _solved(
         whole=whole,
         off=off,
         bend=bend,
+        data=data,
         weight=whitened,
         likely=likely,
         wrong=wrong,

@@ -137,7 +137,7 @@ def reconstruct_recording(
             "--frames-per-second",
             file=sys.stderr,
         )
-    if len(known.layout) == 1 and not METHODS[options["method"]].local:
+    if len(known.layers) == 1 and not METHODS[options["method"]].local:
         print(
             f"twin: one layer of markers and method {options['method']}: forces into the surface "
             "come out far too small, as the stated deviations say; take --method local",
@@ -352,7 +352,7 @@ def _other_sensor(rest_px: Pixels, calibration: Calibration) -> str:
     if calibration.facts.get("rest") == "measured":
         allowed = _SCATTER_MEASURED
     stretches: list[Floats] = []
-    for name in calibration.layout:
+    for name in calibration.layers:
         rows = np.flatnonzero((calibration.layer == name) & seen)
         if len(rows) < _LEAST_TO_COMPARE:
             continue
