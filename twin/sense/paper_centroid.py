@@ -70,7 +70,7 @@ class PaperCentroid(CentreEstimator):
         NaN where a cell's brightest pixel stays below the contrast, a test that the paper lacks."""
         out = np.full((len(start_px), 2), np.nan)
         known = np.isfinite(start_px).all(axis=1)
-        colour = (*map(float, look.weights), float(look.ground_dn))
+        colour = tuple(map(np.float32, (*look.weights, look.ground_dn)))
         half = max(1, round(cell_px / 2))
         places = start_px.copy()
         known &= _cell_centroids(picture, colour, half, look.contrast_dn, passes, known, places)
@@ -78,39 +78,67 @@ class PaperCentroid(CentreEstimator):
         return out
 
 
+SPARE_PX = 3
+"""Columns beside a cell that are added up with it: so far its columns move without new sums."""
+
+
 @njit(cache=True, fastmath=True)
 def _cell_centroids(image, colour, half, least, passes, known, place):
     """Move each ``place`` (n, 2) that is ``known`` to the centroid of the positive signal in the
     cell around it; return (n,) where there is one. What is not known is no number of fast
-    arithmetic, and left alone."""
+    arithmetic, and left alone.
+
+    The signal is added up column by column, which are worked on side by side; a cell that has moved
+    gains rows and loses others. In singles, for the vector unit: they hold sums of whole counts
+    exactly; of others errors are about 1e-6 px.
+    """
     height, width = image.shape[0], image.shape[1]
     red, green, blue, ground = colour
-    flat, value, found = image.reshape(-1), np.empty(2 * half + 1), known.copy()
+    flat, found = image.reshape(-1), known.copy()
+    zero, one, least = np.float32(0.0), np.float32(1.0), np.float32(least)
+    sums = np.empty((3, min(2 * (half + SPARE_PX) + 1, width)), np.float32)
+    light, moment, contrasting = sums[0], sums[1], sums[2]
     for k in range(len(place)):
-        column, row = 0, 0
-        for turn in range(passes if known[k] else 0):
-            before_column, before_row = column, row
+        begin, left, right, top, bottom, middle = 0, -1, -1, -1, -1, 0
+        for _ in range(passes if known[k] else 0):
+            before, above, below = (left, right), top, bottom
             column, row = int(np.rint(place[k, 0])), int(np.rint(place[k, 1]))
-            if turn > 0 and column == before_column and row == before_row:
+            left, right = max(column - half, 0), max(min(column + half + 1, width), 0)
+            top, bottom = min(max(row - half, 0), height), max(min(row + half + 1, height), 0)
+            if (left, right) == before and top == above and bottom == below:
                 break  # the same cell again
-            left, right = max(column - half, 0), min(column + half, width - 1)
-            mass, sx, sy, highest = 0.0, 0.0, 0.0, 0.0
-            for j in range(max(row - half, 0), min(row + half, height - 1) + 1):
-                pixels = flat[3 * (j * width + left) : 3 * (j * width + right + 1)]
-                for i in range(right - left + 1):
-                    light = (
-                        red * pixels[3 * i] + green * pixels[3 * i + 1] + blue * pixels[3 * i + 2]
-                    )
-                    value[i] = max(light - ground, 0.0)
-                line = 0.0
-                for i in range(right - left + 1):
-                    line += value[i]
-                    sx += i * value[i]
-                    highest = max(highest, value[i])
-                mass += line
-                sy += j * line
-            if mass <= 0.0 or highest < least:
+            apart = top >= below or bottom <= above
+            if apart or left < begin or right > begin + len(light):  # also at first
+                begin = min(max(column - half - SPARE_PX, 0), width - len(light))
+                above, below, middle = top, top, row
+                sums[:] = zero
+            for first, last, sign in (
+                (above, top, -one),
+                (top, above, one),
+                (bottom, below, -one),
+                (below, bottom, one),
+            ):
+                for j in range(first, last):
+                    start, down = 3 * (j * width + begin), np.float32(j - middle)
+                    pixels = flat[start : start + 3 * len(light)]
+                    for i in range(len(light)):
+                        value = (
+                            red * np.float32(pixels[3 * i])
+                            + green * np.float32(pixels[3 * i + 1])
+                            + blue * np.float32(pixels[3 * i + 2])
+                        )
+                        value = max(value - ground, zero)
+                        contrasting[i] += sign if value >= least else zero
+                        light[i] += sign * value
+                        moment[i] += sign * down * value
+            mass, sx, sy, highest = 0.0, 0.0, 0.0, zero
+            for i in range(left - begin, right - begin):
+                mass += light[i]
+                sx += i * light[i]
+                sy += moment[i]
+                highest = max(highest, contrasting[i])
+            if mass <= 0.0 or highest < one:
                 found[k] = False
                 break
-            place[k, 0], place[k, 1] = left + sx / mass, sy / mass
+            place[k, 0], place[k, 1] = begin + sx / mass, middle + sy / mass
     return found
