@@ -3,11 +3,14 @@ camera's bend and bumps."""
 
 import dataclasses
 import json
+from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.linalg
+from drawn import picture
 from half_space_sensor import as_found, cell_compliance, disk, finger_sensor, flat_sensor, pressed, shifts
 from numpy.testing import assert_allclose
 from standard_bodies import rectangles
@@ -18,6 +21,7 @@ from twin.parts.camera import Camera
 from twin.sense.calibration import from_compliance, from_presses
 from twin.sense.inverse import METHODS, Factors
 from twin.sense.reconstruct import Bump, reconstruct
+from twin.sense.track import Tracker
 from twin.study.calibrate import calibration_of
 from twin.study.new_scene import Pad
 from twin.study.recipe import load_scene
@@ -205,6 +209,31 @@ def test_marginal_likelihood_finds_a_drawn_weight():
     assert 2.0 < np.median(validated) < 20.0
 
 
+@pytest.mark.parametrize("shape", [(60, 20), (60, 50)])
+def test_rules_take_the_least_of_their_formulas(shape):
+    """From dense matrices, for pictures of another size of noise that share one decomposition."""
+    random = np.random.default_rng(5)
+    h = random.normal(0, 1, shape) * np.geomspace(1, 1e-2, shape[1])
+    factors, count = Factors.of(h, np.eye(shape[1])), shape[0]
+    for size in (0.1, 1.0, 7.0):
+        here = dataclasses.replace(factors, size=size)
+        matrix = h / size
+        data = matrix @ random.normal(0, 3, shape[1]) + random.normal(0, 1.0, count)
+        weights = np.linalg.svd(matrix)[1][0] ** 2 * 10.0 ** np.arange(-6, -2 + 1e-9, 0.01)
+        evidence, score = [], []
+        for weight in weights:
+            spread = np.eye(count) + matrix @ matrix.T / weight
+            evidence.append(count * np.log(data @ np.linalg.solve(spread, data)) + np.linalg.slogdet(spread)[1])
+            hat = np.eye(count) - np.linalg.inv(spread)
+            left, kept = np.sum((data - hat @ data) ** 2), 0.3 + 0.7 * np.sum(hat * hat) / count
+            score.append(np.log(left * kept / (1 - np.trace(hat) / count) ** 2))
+        likely, validated = weights[np.argmin(evidence)], weights[np.argmin(score)]
+        here.weight("auto", -data[::-1])  # of other data first
+        assert here.weight("likelihood", data) == pytest.approx(likely, rel=0.06)
+        assert here.weight("gcv", data) == pytest.approx(validated, rel=0.06)
+        assert here.weight("auto", data) == pytest.approx(max(2 * likely, validated), rel=0.06)
+
+
 @pytest.mark.parametrize("shape", [(120, 40), (80, 90)])
 def test_every_rule_chooses_the_weight_of_the_weighted_problem(shape):
     """Data that are lost, noisier or less noisy than usual, against a factorisation of the very problem."""
@@ -218,6 +247,46 @@ def test_every_rule_chooses_the_weight_of_the_weighted_problem(shape):
     own = Factors.of((root[:, None] * h)[seen], np.eye(shape[1]))
     for rule in ("likelihood", "gcv", "auto"):
         assert weighted.weight(rule, data) == pytest.approx(own.weight(rule, (root * data)[seen]), rel=1e-6), rule
+
+
+def test_what_is_kept_of_one_picture_serves_others():
+    """Loads, sizes and patterns of noise and lost markers in turn, by one calibration, and by a new one each time."""
+    markers, seen, calibration = FINGER
+    random = np.random.default_rng(7)
+    for turn in range(24):
+        clean = shifts(markers, seen, *disk(random.uniform(-3, 3, 2), 4.0, (0.1, 0.0, 0.3 * (turn % 4))))
+        sd = 0.02 * (1 + turn % 5) * (1.0 if turn % 3 else random.choice([1.0, 6.0], len(clean)))
+        found = as_found(clean + random.normal(0, 1, clean.shape) * np.reshape(sd, (-1, 1)), calibration)
+        found.sd_px[:] = sd
+        found.shift_px[random.integers(0, 61, turn % 2)] = np.nan
+        weight = ("auto", "likelihood", "gcv")[turn % 3]
+        kept = reconstruct(found, calibration, weight=weight)
+        alone = reconstruct(found, dataclasses.replace(calibration), weight=weight)
+        for name in ("force_n", "sd_force_n", "total_force_n", "sd_total_n", "sd_torque_nmm", "weight", "noise_px"):
+            assert_allclose(getattr(kept, name), getattr(alone, name), rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+def test_films_of_several_sensors_by_threads_are_those_one_by_one():
+    """Two share a calibration, and each film changes the noise of its markers."""
+    calibrations = [dataclasses.replace(FINGER[2], layout_px=FINGER[2].layout_px + 240.0) for _ in range(2)] * 2
+    load = disk((1.0, -0.5), 4.0, (0.05, 0.0, 0.4))
+    moved = shifts(*FINGER[:2], *load)
+    way = dict(layout=calibrations[0].layout, size=(480, 480), diameter=15.0)
+    rest = picture(0.0, 1, **way)
+    films = [[picture(share * moved, 10 * film + share, **way) for share in range(3)] for film in range(2)] * 2
+    trackers = [Tracker(rest, calibration.layout) for calibration in calibrations]
+
+    def fields(film):
+        trackers[film].forget()
+        return [reconstruct(trackers[film].track(each), calibrations[film]) for each in films[film]]
+
+    one_by_one = [fields(film) for film in range(4)]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(fields, range(4)))
+    for alone, beside in zip(chain(*one_by_one), chain(*together), strict=True):
+        assert_allclose(beside.force_n, alone.force_n, rtol=1e-9, atol=1e-12)
+        assert_allclose(beside.sd_total_n, alone.sd_total_n, rtol=1e-9)
+    assert together[0][-1].total_force_n[2] == pytest.approx(2 * 0.4, rel=0.3)
 
 
 def test_markers_that_err_more_than_the_others_widen_what_rests_on_them():
