@@ -233,6 +233,10 @@ SECTORS, LEFT_OUT = 2 * DIRECTIONS, 5
 """Parts that an edge is cut into, and how many of them are left out at a time: 112 degrees, what a
 strip of a fifth of the width covers (106)."""
 
+_HALF_SECTORS = np.pi / SECTORS * np.arange(2 * SECTORS + LEFT_OUT)
+TURNED = np.column_stack([np.cos(_HALF_SECTORS), np.sin(_HALF_SECTORS)])
+"""Directions, each turned by half a sector from the one before."""
+
 ON_MARKER = 0.3
 """Share of a pixel that a marker covers, from which on light is missed there; below it is too
 much."""
@@ -620,10 +624,15 @@ def _edge(signal, use, place, centre, form, light, blur, level, around, narrow, 
         behind = (1.0 - cover) * (ground_x * dx + ground_y * dy)
         residual = signal[p] - ground - behind - bright * cover
         missed = max(missed, (-residual if cover > ON_MARKER else residual) / level)
+        if v == 1.0:
+            continue
         nx, ny = ax * flat, ay * flat
         # weighted sums of the normal equations for x, y and the size, sector by sector
-        angle = math.atan2(ny, nx) / (2.0 * np.pi) + 1.0
-        sector = sums[int(angle * SECTORS) % SECTORS]
+        part = 0
+        for k in range(1, SECTORS // 4):
+            part += abs(ny) * TURNED[2 * k, 0] > abs(nx) * TURNED[2 * k, 1]
+        part = part if nx >= 0.0 else SECTORS // 2 - 1 - part
+        sector = sums[part if ny >= 0.0 else SECTORS - 1 - part]
         trust = tilt / (1.0 + narrow * residual * residual) ** 2
         for i, weight in enumerate((trust * tilt, trust * residual)):
             sector[3 * i] += weight
@@ -633,18 +642,19 @@ def _edge(signal, use, place, centre, form, light, blur, level, around, narrow, 
         sector[7] += trust * tilt * nx * ny
         sector[8] += trust * tilt * ny * ny
     out[SHORTFALL] = missed
-    step, kept = np.empty(SECTORS), np.empty(9)
-    for s in range(SECTORS):
+    step, kept = np.empty(SECTORS), np.zeros(9)
+    for s in range(LEFT_OUT, SECTORS):
         for i in range(9):
-            kept[i] = 0.0
-            for k in range(s + LEFT_OUT, s + SECTORS):
-                kept[i] += sums[k % SECTORS, i]
-        angle = 2.0 * np.pi * (s + 0.5 * LEFT_OUT) / SECTORS
-        ux, uy = math.cos(angle), math.sin(angle)
+            kept[i] += sums[s, i]
+    for s in range(SECTORS):
+        # towards the middle of what is left out
+        ux, uy = TURNED[2 * s + LEFT_OUT, 0], TURNED[2 * s + LEFT_OUT, 1]
         along = ux * ux * kept[6] + 2.0 * ux * uy * kept[7] + uy * uy * kept[8]
         cross = ux * kept[1] + uy * kept[2]
         right = ux * kept[4] + uy * kept[5]
         step[s] = (kept[0] * right - cross * kept[3]) / max(kept[0] * along - cross**2, 1e-9)
+        for i in range(9):
+            kept[i] += sums[s, i] - sums[(s + LEFT_OUT) % SECTORS, i]
     for s in range(DIRECTIONS):
         out[ONE_SIDED + s] = step[s] - step[s + DIRECTIONS]
 
