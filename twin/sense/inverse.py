@@ -178,8 +178,8 @@ def _cross_validated(seen: Factors.Spectrum) -> float:
 
 def _least(objective: Callable[[_Tried], Floats], seen: Factors.Spectrum) -> float:
     """Search the logarithm of the weight from `LEAST_DECADES` to `MOST_DECADES`."""
-    top = float(seen.squared.max(initial=0.0))
-    if top <= 0.0 or not (seen.energy.any() or seen.rest > 0.0):
+    top = seen.largest
+    if top <= 0.0 or seen.outside <= 0.0:
         return max(top, 1.0)
 
     def best(tried: _Tried) -> float:
@@ -245,11 +245,12 @@ class Factors:
             return self.back**2, (self.null**2).sum(1)
 
         def along(self, rows: Floats) -> tuple[Floats, Floats]:
-            """Return ``rows`` (q, 3k) times ``back`` and ``null``; kept for the last rows, which
-            are mostly those of the totals."""
+            """Return ``rows`` (q, 3k) times ``back``, and what ``null`` adds to their (q, q)
+            covariance at weight 1; kept for the last rows, which are mostly those of the totals."""
             last = self._last.get("rows")
             if last is None or last[0] is not rows:
-                self._last["rows"] = last = (rows, rows @ self.back, rows @ self.null)
+                unseen = rows @ self.null
+                self._last["rows"] = last = (rows, rows @ self.back, unseen @ unseen.T)
             return last[1:]
 
         @cached_property
@@ -281,7 +282,12 @@ class Factors:
         count: int
         usual: _Trials | None = None
 
-        @property
+        @cached_property
+        def largest(self) -> float:
+            """The largest of `squared`, 0 without any."""
+            return float(self.squared.max(initial=0.0))
+
+        @cached_property
         def outside(self) -> float:
             """`rest`, with a round-off floor."""
             return self.rest + 1e-20 * (float(self.energy.sum()) + self.rest)
@@ -315,7 +321,10 @@ class Factors:
         back = scipy.linalg.solve_triangular(lower.T, right.T, lower=False)
         count = len(singular)
         modes = cls.Modes(
-            left=left[:, :count], singular=singular, back=back[:, :count], null=back[:, count:]
+            left=left[:, :count],
+            singular=singular,
+            back=np.ascontiguousarray(back[:, :count]),
+            null=back[:, count:],
         )
         return cls(modes=modes, share=np.ones(len(left)))
 
@@ -418,7 +427,7 @@ class Factors:
             squared = seen.rest
             if weight > 0:
                 squared += float(seen.energy @ (weight / (seen.squared + weight)))
-        count = int(np.count_nonzero(self.share > 0))
+        count = int(np.count_nonzero(self.share))
         if weight <= 0:
             squared, count = squared + 1.0, count - len(self.singular) + 1
         return float(np.sqrt(squared / max(count, 1)))
@@ -433,7 +442,7 @@ class Factors:
         seen, unseen = self.modes.along(rows)
         if weight <= 0:
             return np.asarray((seen * self._filtered(0.0) ** 2) @ seen.T)
-        usual = (seen / (self.singular**2 + weight)) @ seen.T + unseen @ unseen.T / weight
+        usual = (seen / (self.singular**2 + weight)) @ seen.T + unseen / weight
         if not len(self.rows):
             return np.asarray(usual)
         response, more = self._more(weight)
@@ -489,8 +498,9 @@ class Factors:
         last = self._last.get("seen")
         if last is not None and last[0] is data:
             return last[1]
-        rows, known = self.rows, self.share * data
-        count = int(np.count_nonzero(self.share > 0))
+        rows = self.rows
+        known = self.share * data if len(rows) else data
+        count = int(np.count_nonzero(self.share))
         pull = self.modes.left.T @ known
         squared, energy = self.singular**2, pull**2
         if len(rows):
@@ -690,7 +700,7 @@ class Problem:
     @cached_property
     def omega(self) -> float:
         """The papers' weight over the whitened one, px^2."""
-        return 2.0 * float(1.0 / np.mean(1.0 / self.noise_px**2))
+        return 2.0 * len(self.noise_px) / float((1.0 / self.noise_px**2).sum())
 
     def whiten(self, shift_px: Floats) -> Floats:
         """Return (m,) data of (n, 2) shifts of all markers; 0 for lost ones."""
@@ -791,7 +801,7 @@ def _base(calibration: Calibration, method: InverseMethod, known: Bools, noise: 
     fewer data than sites have unknowns, a film's changing patterns of noise (`_weights`) follow
     from the factors of all markers alike."""
     kept = _kept.setdefault(calibration, {})
-    even = bool(np.all(noise == noise[0]))
+    even = bool((noise == noise[0]).all())
     pattern = (noise / noise.mean()).round(6) if not even else np.ones(1)
     key = (method.penalty, known.tobytes() + pattern.tobytes())
     with _ordering:  # as the last that goes

@@ -335,7 +335,7 @@ def _sd_of_totals(
     factor = calibration.scale_error**2 + found.gain_error**2
     share = factor + np.array([x, y, z, z, z, x])
     variance += share * (rows @ linear.force_n.ravel()) ** 2
-    variance += linear.totals_left_open**2
+    variance += linear.totals_left_open
     if np.any(found.drift_px):
         drift = problem.whiten(found.drift_px + np.zeros(found.shift_px.shape))
         variance += factors.sums(rows, drift[None], weight)[0] ** 2
@@ -533,7 +533,7 @@ class _Linear:
 
     @property
     def totals_left_open(self) -> Floats:
-        """(6,) standard deviations of totals, N and N mm: by `Calibration.by_thickness`,
+        """(6,) variances of totals, N^2 and N^2 mm^2: by `Calibration.by_thickness`,
         `Calibration.by_depth`, `Calibration.by_camera`, `Calibration.by_load_cell` and
         `Calibration.mesh_error`."""
         problem, known = self.problem, self.problem.calibration
@@ -549,17 +549,19 @@ class _Linear:
         if len(known.by_camera):
             motion = (known.compliance @ single).reshape(-1, 3, 1)
             lacking.extend((known.by_camera @ motion)[..., 0])
-        taken = np.zeros((0, len(known.total_rows)))
+        variance = np.zeros(len(known.total_rows))
         if lacking:
             data = np.stack([problem.whiten(shift) for shift in lacking])
             taken = problem.factors.sums(known.total_rows, data, self.weight)
-        axis = known.mesh_error * float(np.linalg.norm(force.sum(axis=0)))
+            variance = (taken**2).sum(axis=0)
+        axis = known.mesh_error * math.hypot(*force.sum(axis=0))
         if known.by_load_cell.size:
-            axis = math.hypot(axis, np.linalg.norm(known.by_load_cell @ single))
+            lacking_n = known.by_load_cell @ single
+            axis = math.hypot(axis, math.sqrt(lacking_n @ lacking_n))
         share = np.sqrt((force**2).sum(axis=1))
         x, y, z = share @ known.site_mm / max(float(share.sum()), np.finfo(float).tiny)
         levers = np.array([1.0, 1.0, 1.0, math.hypot(y, z), math.hypot(z, x), math.hypot(x, y)])
-        return np.asarray(np.sqrt((taken**2).sum(axis=0) + (axis * levers) ** 2))
+        return variance + (axis * levers) ** 2
 
     @property
     def sd_force_n(self) -> Floats:
