@@ -1,16 +1,17 @@
 """Four fingers as a stream: their films through one process, decoded, tracked and reconstructed, beside the truth.
 
 Four made fingers (other seeds of `sato_press`) are pressed with 1 N in a third of a second and filmed at the paper's 60
-frames a second. Then one process takes a frame of each at a time, on one thread, from memory as a camera gives them or
-from H.264 files (with a rest picture that was encoded, too). ``ms`` is the CPU time of tracking and forces of all four,
-``sets_per_s`` how many such sets fit into a second; ``decode_ms`` is the wall time until four frames have come from
-ffmpeg's processes, which run beside it. Errors are against the films' truth, of the markers in full sight and of the
-total force. A calibration of the design serves all four.
+frames a second. Then one process takes a frame of each at a time, on one thread or two, from memory as a camera gives
+them or from H.264 files (with a rest picture that was encoded, too). ``ms`` is the CPU time of tracking and forces of
+all, ``wall_ms`` the clock's, ``sets_per_s`` how many such sets fit into a second by it; ``decode_ms`` is the wall time
+until four frames have come from ffmpeg's processes, which run beside it. Errors are against the films' truth, of the
+markers in full sight and of the total force. A calibration of the design serves all four.
 """
 
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +21,13 @@ import numpy as np
 import twin
 from twin.blas_threads import one_thread
 from twin.files import SCENES
-from twin.sense.track import Tracker
+from twin.sense.reconstruct import Field
+from twin.sense.track import Found, Tracker
 from twin.study.film import film_to_folder
 from twin.study.frames import VideoWriter, read_picture
 
-FINGERS = 4
-METHODS = ("disc-fit", "two-pass")
-IN_SIGHT = 0.98
-ROUNDS = 3
-"""The films run so often: the first round compiles."""
+FINGERS, METHODS, IN_SIGHT, ROUNDS = 4, ("disc-fit", "two-pass"), 0.98, 3
+"""The films run ``ROUNDS`` times: the first round compiles."""
 
 
 @one_thread()
@@ -44,21 +43,20 @@ def measure(quick: bool) -> list[dict[str, Any]]:
         shown = [[read_picture(path) for path in sorted((film / "frames").iterdir())] for film in films]
         rests = [read_picture(film / "rest.png") for film in films]
         truths = [dict(np.load(film / "truth.npz")) for film in films]
-        videos = [film / "frames.mp4" for film in films]
-        for video, pictures in zip(videos, shown, strict=True):
-            height, width, _ = pictures[0].shape
-            with VideoWriter(video, (width, height)) as writer:
+        for film, pictures in zip(films, shown, strict=True):
+            with VideoWriter(film / "frames.mp4", pictures[0].shape[1::-1]) as writer:
                 for picture in pictures:
                     writer.add(picture)
         coded = [VideoWriter.encoded(rest, film / "rest.mp4") for rest, film in zip(rests, films, strict=True)]
         sources: dict[str, tuple[list[np.ndarray], Callable[[], list[Iterator[np.ndarray]]]]] = {
             "memory": (rests, lambda: [iter(pictures) for pictures in shown]),
-            "H.264": (coded, lambda: [_decoded(video) for video in videos]),
+            "H.264": (coded, lambda: [_decoded(film / "frames.mp4") for film in films]),
         }
         return [
-            {"frames": name, "tracking": method, **_row(rest, opened, truths, calibration, method)}
+            _row(rest, opened, truths, calibration, {"frames": name, "tracking": method, "threads": threads})
             for name, (rest, opened) in sources.items()
             for method in METHODS
+            for threads in (1, 2)
         ]
 
 
@@ -74,27 +72,34 @@ def _row(
     opened: Callable[[], list[Iterator[np.ndarray]]],
     truths: list[dict[str, np.ndarray]],
     calibration: twin.Calibration,
-    method: str,
+    way: dict[str, Any],
 ) -> dict[str, Any]:
-    trackers = [Tracker(rest, calibration.layout, method=method) for rest in rests]
+    trackers = [Tracker(rest, calibration.layout, method=way["tracking"]) for rest in rests]
+    pool = ThreadPoolExecutor(way["threads"])
+
+    def forces(tracker: Tracker, frame: np.ndarray) -> tuple[Found, Field]:
+        found = tracker.track(frame)
+        return found, twin.reconstruct(found, calibration)
+
     for _ in range(ROUNDS):
         readers = opened()
-        spent, decoding, off_px, off_n = [], [], [], []
+        spent, passed, decoding, off_px, off_n = [], [], [], [], []
         for number in range(len(truths[0]["time_s"])):
             began = time.perf_counter()
             frames = [next(reader) for reader in readers]
             decoding.append(1e3 * (time.perf_counter() - began))
-            began = time.thread_time()
-            found = [tracker.track(frame) for tracker, frame in zip(trackers, frames, strict=True)]
-            fields = [twin.reconstruct(one, calibration) for one in found]
-            spent.append(1e3 * (time.thread_time() - began))
-            for truth, one, field in zip(truths, found, fields, strict=True):
+            began, cpu = time.perf_counter(), time.process_time()
+            pairs = list((map if way["threads"] == 1 else pool.map)(forces, trackers, frames))
+            spent.append(1e3 * (time.process_time() - cpu))
+            passed.append(1e3 * (time.perf_counter() - began))
+            for truth, (one, field) in zip(truths, pairs, strict=True):
                 moved = truth["marker_outline_px"][number] - truth["marker_outline_rest_px"]
                 off_px.append((one.shift_px - moved)[truth["marker_visible"][number] > IN_SIGHT])
                 off_n.append(field.total_force_n - truth["force_n"][number])
-    middle = float(np.median(spent))
+    pool.shutdown()
+    middle = float(np.median(passed))
     return {
-        "sets": len(spent), "ms": middle, "ms_p99": float(np.quantile(spent, 0.99)), "sets_per_s": 1e3 / middle,
+        **way, "sets": len(spent), "ms": float(np.median(spent)), "wall_ms": middle, "sets_per_s": 1e3 / middle,
         "decode_ms": float(np.median(decoding)), "rms_px": float(np.sqrt(np.nanmean(np.concatenate(off_px) ** 2))),
         "rms_n": float(np.sqrt(np.mean(np.sum(np.square(off_n), axis=1)))),
     }  # fmt: skip

@@ -184,7 +184,7 @@ def _least(objective: Callable[[_Tried], Floats], seen: Factors.Spectrum) -> flo
 
     def best(tried: _Tried) -> float:
         values = objective(tried)
-        last = (values <= values.min() + FLAT)[::-1].argmax()
+        last = (values[::-1] <= values[values.argmin()] + FLAT).argmax()
         return float(tried.decades[-1 - last])
 
     trials = seen.trials
@@ -704,8 +704,14 @@ class Problem:
 
     def whiten(self, shift_px: Floats) -> Floats:
         """Return (m,) data of (n, 2) shifts of all markers; 0 for lost ones."""
-        shift = np.where(self.used[:, None], shift_px, 0.0)[self.known]
+        shift = shift_px
+        if not self._all_used:
+            shift = np.where(self.used[:, None], shift_px, 0.0)[self.known]
         return np.asarray((shift / self.noise_px[:, None]).ravel())
+
+    @cached_property
+    def _all_used(self) -> bool:
+        return bool(self.used.all())
 
     def shifts_of(self, force_n: Floats) -> Floats:
         """Return (m,) whitened data that (k, 3) forces make, by the linear map."""
