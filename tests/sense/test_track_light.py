@@ -419,3 +419,19 @@ def test_two_colours_on_bright_ground_are_seen_where_light_falls_to_a_fifth():
     inside = (np.concatenate(list(layout.values())) < [401.0, 291.0]).all(axis=1)
     assert found.seen[inside].mean() > 0.98
     assert np.sqrt(np.nanmean((error / found.sd_px[:, None])[whole] ** 2)) < 1.3
+
+
+def test_wide_dots_are_found_where_light_falls_off_to_a_quarter():
+    """All were missing: what vignetting left of the ground passed for bright markers."""
+    grid = np.stack(np.meshgrid(np.arange(7), np.arange(5), indexing="ij"), -1).reshape(-1, 2) * 55.0 + 32.0
+    y, x = np.mgrid[-1.0:1.0:284j, -1.0:1.0:394j]
+    light = (1.0 - 0.36 * (x**2 + y**2))[..., None]
+    pair = [
+        expose((150.0 - 125.0 * cover((394, 284), grid + shift, 25.0, 0.7)[..., None]) * light * np.ones(3), seed)
+        for seed, shift in enumerate((0.0, [0.8, -0.6]))
+    ]
+    found = track(*pair, {"dots": grid})
+    error = found.shift_px - [0.8, -0.6]
+    assert found.seen.all()
+    assert np.sqrt((error**2).mean()) < 0.008
+    assert np.sqrt(np.mean((error / found.sd_px[:, None]) ** 2)) < 1.3

@@ -38,6 +38,10 @@ SHADED = 0.5
 """Where the ground varies so much that its own shading leaves less than this share of the spread of
 colours, the shading is taken off before markers' colours are looked for."""
 
+EVEN, STEEP = 2.0, 1.0
+"""Over so many spacings of the markers their ground is taken for evenly lit; and where markers are
+missing, light may fall off so steeply that it is over fewer only, of which markers cover more."""
+
 HARDLY_SHOWN = 0.5
 """Share of a colour's contrast that another layer's signal must show, or it gets its own."""
 
@@ -644,6 +648,7 @@ def estimate_channels(
     spacing_px: float,
     polarity: str | None = None,
     pair: tuple[Weights, Weights] | None = None,
+    even: float = EVEN,
 ) -> dict[str, Weights]:
     """Estimate every layer's projection from the rest picture.
 
@@ -660,6 +665,8 @@ def estimate_channels(
     pair
         The two projections to choose from where there are two layers of different colour, instead
         of estimates.
+    even
+        Over so many spacings the ground is taken for evenly lit.
 
     Returns
     -------
@@ -668,7 +675,7 @@ def estimate_channels(
         colours can't be separated; a picture without contrast yields the grey one.
     """
     grey = (1 / 3, 1 / 3, 1 / 3) if polarity != "dark" else (-1 / 3, -1 / 3, -1 / 3)
-    away = _contrasts(rest_image, layout, spacing_px, polarity)
+    away = _contrasts(rest_image, layout, spacing_px, even * spacing_px, polarity)
     samples = _strongest(away)
     if samples is None:
         return dict.fromkeys(layout, grey)
@@ -688,9 +695,14 @@ def estimate_channels(
 
 
 def _contrasts(
-    image: Picture, layout: Mapping[str, Pixels], spacing_px: float, polarity: str | None
+    image: Picture,
+    layout: Mapping[str, Pixels],
+    spacing_px: float,
+    even_px: float,
+    polarity: str | None,
 ) -> Floats:
-    """Return (n, 3) colours minus the ground's colour around the markers."""
+    """Return (n, 3) colours minus the ground's colour around the markers, whose shading is followed
+    over squares of ``even_px``."""
     height, width = image.shape[:2]
     points = np.concatenate([np.asarray(p, float) for p in layout.values()])
     low = np.maximum(np.floor(points.min(axis=0) - spacing_px), 0).astype(int)
@@ -702,7 +714,7 @@ def _contrasts(
     every = max(1, part.size // 300_000)
     pixels = part.reshape(-1, 3)[::every].astype(float)
     away = pixels - np.median(pixels, axis=0)
-    level = pixels - _shading(part, 2.0 * spacing_px).reshape(-1, 3)[::every]
+    level = pixels - _shading(part, even_px).reshape(-1, 3)[::every]
     if _spread(level) < SHADED * _spread(away):
         away = level
     if polarity is not None:

@@ -21,6 +21,8 @@ from twin.errors import InputError, require
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import CentreEstimator, Look
 from twin.sense.colour import (
+    EVEN,
+    STEEP,
     Flaws,
     Signal,
     Weights,
@@ -93,6 +95,11 @@ class Rest:
     film: bool = False
 
     @property
+    def share_found(self) -> float:
+        """Share of the markers that are found."""
+        return float(np.isfinite(self.rest_px[:, 0]).mean())
+
+    @property
     def ground_px(self) -> tuple[float, float]:
         """How far from markers' centres the ground begins, and how far it is looked at, px."""
         widest = max(group.look.diameter_px for group in self.groups)
@@ -114,13 +121,20 @@ def analyse_rest(
     picture = flaws.mended(picture)
     drawn = _checked_layout(layout, picture)
     _check_options(drawn, diameter_px, polarity, channels, method)
-    rest = _analysed(picture, flaws, drawn, diameter_px, polarity, channels, method)
-    # bands may hide markers, which are about where they are drawn
-    marks = np.where(np.isnan(rest.rest_px), np.concatenate(list(drawn.values())), rest.rest_px)
-    flaws, picture = flaws.seen_without_bands(picture, marks, *rest.ground_px)
-    if flaws.ground is None:
-        return rest
-    return _analysed(picture, flaws, drawn, diameter_px, polarity, channels, method)
+
+    def analysed(even: float) -> Rest:
+        options = drawn, diameter_px, polarity, channels, method, even
+        rest = _analysed(picture, flaws, *options)
+        # bands may hide markers, which are about where they are drawn
+        marks = np.where(np.isnan(rest.rest_px), np.concatenate(list(drawn.values())), rest.rest_px)
+        banded, level = flaws.seen_without_bands(picture, marks, *rest.ground_px)
+        return rest if banded.ground is None else _analysed(level, banded, *options)
+
+    rest = analysed(EVEN)
+    if channels is None and rest.share_found < MOST:
+        # light may fall off steeply; tried first, what bands leave would pass for markers
+        rest = max(rest, analysed(STEEP), key=lambda one: one.share_found)
+    return rest
 
 
 def _analysed(
@@ -131,13 +145,14 @@ def _analysed(
     polarity: str | None,
     channels: Mapping[str, Weights] | None,
     method: CentreMethod,
+    even: float,
 ) -> Rest:
-    """Find the markers of the layout ``drawn`` in a picture less its ``flaws``."""
+    """Find the markers of the layout ``drawn`` in a picture less its ``flaws``, whose ground is
+    evenly lit over so many spacings."""
     size = min(spacing(p) for p in drawn.values())
     if channels is None:
-        weights = estimate_channels(
-            picture, drawn, size, polarity, PAPERS_CHANNELS if method == "two-pass" else None
-        )
+        pair = PAPERS_CHANNELS if method == "two-pass" else None
+        weights = estimate_channels(picture, drawn, size, polarity, pair, even)
     else:
         weights = {}
         for name in drawn:
