@@ -511,7 +511,7 @@ def in_other_light(
     shows, before, slope_before = at_rest
     now = whole if shows else ground
     with np.errstate(divide="ignore", invalid="ignore"):
-        change = np.log(np.clip(now / before, *LIGHT))
+        change = np.log(np.minimum(np.maximum(now / before, LIGHT[0]), LIGHT[1]))
     # A slope of the ground moves a centre by the sum of edge times slope over that of the edge
     # squared; one of the marker, about as the mean of both.
     shape, radius = templates.shape, templates.radius_px

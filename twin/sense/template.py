@@ -233,8 +233,8 @@ SECTORS, LEFT_OUT = 2 * DIRECTIONS, 5
 """Parts that an edge is cut into, and how many of them are left out at a time: 112 degrees, what a
 strip of a fifth of the width covers (106)."""
 
-_HALF_SECTORS = np.pi / SECTORS * np.arange(2 * SECTORS + LEFT_OUT)
-TURNED = np.column_stack([np.cos(_HALF_SECTORS), np.sin(_HALF_SECTORS)])
+TURNED = np.exp(1j * np.pi / SECTORS * np.arange(2 * SECTORS + LEFT_OUT))
+TURNED = np.column_stack([TURNED.real, TURNED.imag])
 """Directions, each turned by half a sector from the one before."""
 
 ON_MARKER = 0.3
@@ -606,24 +606,29 @@ def _edge(signal, use, place, centre, form, light, blur, level, around, narrow, 
     xx, xy, yy = form
     slope_x, slope_y, bulge = light
     ground, ground_x, ground_y = around
-    missed = 0.0
+    missed, per_blur, per_level = 0.0, 1.0 / blur, 1.0 / level
+    # beyond this distance, in the marker's own ellipse, there is no edge
+    steepest = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    far = (1.0 + blur * math.sqrt(steepest)) ** 2
     sums = np.zeros((SECTORS, 9))
     for p in range(len(signal)):
         dx, dy = place[0, p] - centre[0], place[1, p] - centre[1]
         ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
         squared = ax * dx + ay * dy + 1e-6
+        if squared > far or use[p] == 0.0:
+            continue
         flat = 1.0 / math.sqrt(ax * ax + ay * ay + 1e-8)
-        v = (math.sqrt(squared) - squared) * flat / blur
-        if v <= -1.0 or use[p] == 0.0:
+        v = (math.sqrt(squared) - squared) * flat * per_blur
+        if v <= -1.0:
             continue
         v = min(v, 1.0)
         v2 = v * v
         cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
         bright = level * (1.0 + slope_x * dx + slope_y * dy + bulge * min(squared, 1.0))
-        tilt = bright * (1.0 - v2) ** 2 * 15 / 16 / blur
+        tilt = bright * (1.0 - v2) ** 2 * 15 / 16 * per_blur
         behind = (1.0 - cover) * (ground_x * dx + ground_y * dy)
         residual = signal[p] - ground - behind - bright * cover
-        missed = max(missed, (-residual if cover > ON_MARKER else residual) / level)
+        missed = max(missed, (-residual if cover > ON_MARKER else residual) * per_level)
         if v == 1.0:
             continue
         nx, ny = ax * flat, ay * flat

@@ -450,8 +450,10 @@ def _measured(
         if group.front is not None:  # partly hidden by another layer, a marker follows that one
             rows = group.look.rows
             away = np.hypot(*(shift[rows] - shift[group.front]).T)
-            away[np.isnan(away)] = medians(away)
-            sd[rows] = np.hypot(sd[rows], group.follows * np.nan_to_num(away))
+            unknown = np.isnan(away)
+            if unknown.any():
+                away[unknown] = np.nan_to_num(medians(away))
+            sd[rows] = np.hypot(sd[rows], group.follows * away)
     lost = np.isnan(shift[:, 0])
     # From a cold start a layer that is ambiguous has moved as the markers of one that is not.
     other = state != AMBIGUOUS
