@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from drawn import flat_layout
+from scipy.ndimage import map_coordinates, spline_filter
 
 from benchmarks.discs import cover, expose, scene
 from twin.sense.centre import Look
 from twin.sense.colour import Flaws
 from twin.sense.detect import Blobs
 from twin.sense.paper_centroid import PaperCentroid
-from twin.sense.shape_fit import OwnPictures
-from twin.sense.template import CENTRE, DIMS_PX, LANES, disc, gather
+from twin.sense.shape_fit import NORMAL_MEDIAN, OwnPictures, compare_pictures
+from twin.sense.template import CENTRE, DIMS_PX, IMPERFECT, LANES, OUTLIER_SD, disc, gather
 from twin.sense.track import Tracker, analyse_rest
 
 
@@ -167,3 +168,32 @@ def test_rough_dots_are_fitted_each_by_itself():
 
     alone = np.concatenate([centres(slice(k, k + 1)) for k in range(len(marks))])
     np.testing.assert_allclose(centres(slice(None)), alone, rtol=0.0, atol=1e-9)
+
+
+def test_own_pictures_are_compared_as_with_plain_splines_and_products_also_beyond_the_frame():
+    random = np.random.default_rng(3)
+    view, shown = random.normal(100.0, 20.0, (40, 50)), random.random((40, 50)) > 0.1
+    centre, warp = np.array([[25.0, 20.0], [2.0, 3.0], [48.0, 38.0]]), np.eye(2) + random.normal(0.0, 0.05, (3, 2, 2))
+    aside, use = random.uniform(-15.0, 15.0, (3, 400, 2)), random.random((3, 400)) > 0.1
+    terms, light = random.normal(0.0, 1.0, (3, 400, 11)).astype(np.float32), random.normal(0.0, 1.0, (3, 5))
+    noise, level, astray = np.full(3, 40.0), np.full(3, 50.0), np.full(3, 3.0)
+    used, (left, trust), scale, sums = np.zeros_like(use), np.zeros((2, 3, 400)), np.ones(3), np.empty((3, 12, 11))
+    knots, go = spline_filter(view), np.arange(3)
+    known, fit, errors = (aside, use, terms), (warp, centre, light), (noise, level, astray)
+    compare_pictures(knots, shown, go, known, fit, errors, (used, left, trust), scale, sums)
+
+    place = aside @ warp.swapaxes(1, 2) + centre[:, None]
+    column, row = np.rint(place).astype(int).transpose(2, 0, 1)
+    inside = (column >= 0) & (column < 50) & (row >= 0) & (row < 40)
+    assert not inside.all()
+    counts = use & inside & shown[np.clip(row, 0, 39), np.clip(column, 0, 49)]
+    np.testing.assert_array_equal(used, counts)
+    off = map_coordinates(knots, place.transpose(2, 0, 1)[::-1], prefilter=False, mode="nearest")
+    off -= np.einsum("kmi,ki->km", terms[:, :, 6:], light)
+    usual = [np.median(one[some] ** 2 / 40.0) / NORMAL_MEDIAN for one, some in zip(off, counts, strict=True)]
+    limit = OUTLIER_SD**2 * (40.0 * np.fmax(usual, 1.0) + (IMPERFECT * 50.0) ** 2) + 3.0
+    trusted = counts / (1.0 + off**2 / limit[:, None]) ** 2
+    every = np.concatenate([terms, off[:, :, None]], axis=2)
+    found, goal = (scale, left, trust, sums), (usual, off, trusted, np.einsum("km,kmi,kmj->kij", trusted, every, terms))
+    for one, plain in zip(found, goal, strict=True):
+        np.testing.assert_allclose(one, plain, rtol=1e-9, atol=1e-9)

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, laplace, map_coordinates, spline_filter, spline_filter1d
+from scipy.ndimage import gaussian_filter, laplace, spline_filter, spline_filter1d
 
 from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, medians
 from twin.compiled import njit
@@ -773,7 +773,8 @@ class OwnPictures:
         unlit: Floats | float = 0.0
         most_stretch, most_moved = LARGEST_STEP
         step, inverse = radius.copy(), np.zeros((len(rows), 11, 11))
-        aside, scale = self.place - rest[:, None, CENTRE], np.ones((len(rows), 1))
+        aside, scale = self.place - rest[:, None, CENTRE], np.ones(len(rows))
+        sums = np.empty((len(rows), 12, 11))
         use, (left, trust) = np.zeros_like(self.use), np.zeros((2, *self.use.shape))
         views, shown = _views(picture, templates)
         finest = (views[-1], self.terms[-1])
@@ -794,21 +795,19 @@ class OwnPictures:
                 knots = spline_filter(view)
             go = np.arange(len(rows))  # those that have not settled
             for _ in range(TURNS_OF_WARP[stage]):
-                place = aside[go] @ warp[go].swapaxes(1, 2) + centre[go, None]
-                counts = self.use[go] & _pixels(shown, np.rint(place).astype(np.int64))[0]
-                at = place.transpose(2, 0, 1)[::-1]
-                off_by = map_coordinates(knots, at, prefilter=False, mode="nearest")
-                by = terms[go].astype(float)
-                off_by -= (by[:, :, 6:] @ light[go, :, None])[:, :, 0]
-                # what noise explains, by most pixels; in the first steps that the place is wrong
-                usual = _medians(off_by**2 / noise[go], counts) / NORMAL_MEDIAN
-                scale[go] = np.fmax(usual, 1.0)[:, None]
-                limit = OUTLIER_SD**2 * (scale[go] * noise[go] + (IMPERFECT * level[go]) ** 2)
-                limit += (0.5 * level[go] * np.fmin(step[go], 2.0)[:, None]) ** 2
-                believed = counts / (1.0 + off_by**2 / limit) ** 2
-                use[go], left[go], trust[go] = counts, off_by, believed
-                weighted = (by * believed[:, :, None]).swapaxes(1, 2)
-                matrix, right = weighted @ by, weighted @ off_by[:, :, None]
+                astray = (0.5 * level[:, 0] * np.fmin(step, 2.0)) ** 2
+                compare_pictures(
+                    knots,
+                    shown,
+                    go,
+                    (aside, self.use, terms),
+                    (warp, centre, light),
+                    (noise[:, 0], level[:, 0], astray),
+                    (use, left, trust),
+                    scale,
+                    sums,
+                )
+                matrix, right = sums[go, :11], sums[go, 11, :, None]
                 if held:
                     matrix[:, [8, 9]] = matrix[:, :, [8, 9]] = right[:, [8, 9]] = 0.0
                     matrix[:, [8, 9], [8, 9]] = 1.0
@@ -859,7 +858,7 @@ class OwnPictures:
         new[:, TILTED] += free - centre
         new[:, VAR_TILTED] += 0.5 * noise[:, 0] * (loose - inverse[:, 0, 0] - inverse[:, 3, 3])
         new[:, VARIANCE], new[:, PIXELS], new[:, STEP] = variance, use.sum(axis=1), step
-        new[:, MISFIT] = templates.usual_misfit * misfit / scale[:, 0]
+        new[:, MISFIT] = templates.usual_misfit * misfit / scale
         new[:, SQUARES] = new[:, MISFIT] * new[:, PIXELS] * templates.noise[rows, 0]
         new[:, EDGE] = seen / np.fmax(every, 1e-9)
         new[:, FITTING] = np.where(good, rest[:, FITTING] * fits / np.median(fits), 0.0)
@@ -867,6 +866,75 @@ class OwnPictures:
         new[:, ONE_SIDED:RESHAPED], new[:, RESHAPED] = np.nan, OWN_PICTURE
         new[:, SHORTFALL], new[:, DOUBTED], new[:, DIFFERENCE] = 1.0, 0.0, 0.0
         fitted[rows[found]] = new[found]
+
+
+@njit(cache=True, fastmath=True)
+def compare_pictures(knots, shown, go, known, fit, errors, pixels, scale, sums):
+    """Compare the own pictures of markers ``go`` with the picture whose cubic spline has the
+    ``knots`` (h, w), as moved, stretched and lit by the ``fit`` (`OwnPictures.fit`).
+
+    ``known`` are (k, m, 2) offsets, which pixels count, and `OwnPictures.terms`; ``errors`` (k,)
+    variance of the noise, brightness, and the square of what a wrong place misses at an edge.
+    Filled are, of the ``pixels`` (k, m), which of them are ``shown`` (h, w), what the model lacks
+    and the trust in them; ``scale`` (k,) by how much squares exceed the noise's; and ``sums`` (k,
+    12, 11): the products of all terms, then with what is lacking.
+    """
+    height, width = knots.shape
+    aside, use, terms = known
+    warp, centre, light = fit
+    noise, level, astray = errors
+    used, left, trust = pixels
+    count = aside.shape[1]
+    squares, work = np.empty(count), np.empty((12, count))
+    places, shares = np.empty((2, 4), np.int64), np.empty((2, 4))
+    for k in go:
+        number = 0
+        for i in range(count):
+            dx, dy = aside[k, i, 0], aside[k, i, 1]
+            x = centre[k, 0] + warp[k, 0, 0] * dx + warp[k, 0, 1] * dy
+            y = centre[k, 1] + warp[k, 1, 0] * dx + warp[k, 1, 1] * dy
+            column, row = int(np.rint(x)), int(np.rint(y))
+            inside = 0 <= column < width and 0 <= row < height
+            used[k, i] = use[k, i] and inside and shown[row, column]
+            for axis, at, last in ((0, x, width - 1), (1, y, height - 1)):
+                at = min(max(at, -3.0), last + 3.0)
+                first = int(np.floor(at))
+                t = at - first
+                u = 1.0 - t
+                shares[axis, 0], shares[axis, 3] = u * u * u / 6.0, t * t * t / 6.0
+                shares[axis, 1] = 2.0 / 3.0 - 0.5 * t * t * (1.0 + u)
+                shares[axis, 2] = 2.0 / 3.0 - 0.5 * u * u * (1.0 + t)
+                for j in range(4):  # the border goes on
+                    places[axis, j] = min(max(first - 1 + j, 0), last)
+            lacking = 0.0
+            for j in range(4):
+                line = 0.0
+                for n in range(4):
+                    line += shares[0, n] * knots[places[1, j], places[0, n]]
+                lacking += shares[1, j] * line
+            for j in range(5):
+                lacking -= terms[k, i, 6 + j] * light[k, j]
+            left[k, i] = lacking
+            for j in range(11):
+                work[j, i] = terms[k, i, j]
+            if used[k, i]:
+                squares[number] = lacking * lacking / noise[k]
+                number += 1
+        # what noise explains, by most pixels; in the first steps that the place is wrong
+        usual = np.median(squares[:number]) if number > 0 else 0.0
+        scale[k] = max(usual / NORMAL_MEDIAN, 1.0)
+        limit = OUTLIER_SD**2 * (scale[k] * noise[k] + (IMPERFECT * level[k]) ** 2) + astray[k]
+        for i in range(count):
+            trust[k, i] = used[k, i] / (1.0 + left[k, i] * left[k, i] / limit) ** 2
+            work[11, i] = left[k, i]
+        for a in range(12):
+            for b in range(min(a + 1, 11)):
+                total = 0.0
+                for i in range(count):
+                    total += trust[k, i] * work[a, i] * work[b, i]
+                sums[k, a, b] = total
+                if a < 11:
+                    sums[k, b, a] = total
 
 
 def _views(picture: Picture, templates: Templates) -> tuple[list[Singles], Bools]:
