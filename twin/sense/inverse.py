@@ -519,7 +519,7 @@ class Factors:
 
     @cached_property
     def _last(self) -> dict[str, tuple[Floats, Factors.Spectrum]]:
-        """The last data whose spectrum was asked for, which weight and noise both are."""
+        """The last data and their spectrum, which the weight and the noise both need."""
         return {}
 
     def _filtered(self, weight: float) -> Floats:

@@ -557,7 +557,7 @@ class _Linear:
         axis = known.mesh_error * math.hypot(*force.sum(axis=0))
         if known.by_load_cell.size:
             lacking_n = known.by_load_cell @ single
-            axis = math.hypot(axis, math.sqrt(lacking_n @ lacking_n))
+            axis = math.hypot(axis, np.sqrt(lacking_n @ lacking_n))
         share = np.sqrt((force**2).sum(axis=1))
         x, y, z = share @ known.site_mm / max(float(share.sum()), np.finfo(float).tiny)
         levers = np.array([1.0, 1.0, 1.0, math.hypot(y, z), math.hypot(z, x), math.hypot(x, y)])
