@@ -229,6 +229,8 @@ class Estimates:
                 if not self._resolves_rims:
                     factor, markers = self._error_over_change(state, number, other, borders)
                 known = replace(change.times(factor), markers=markers * change.markers)
+                by_chance = self._sideways_by_chance(state, other, step, borders)
+                known = known.at_least(Share(force=by_chance))
                 changed = changed.at_least(known)
             patches = self._cut(state, step, changed)
         if not self._job.friction.any() and self._job.relaxation is None:
@@ -473,23 +475,40 @@ class Estimates:
             pushed = max(pushed, _over(now.force_n - given, now.force_n))
         return deep, pushed
 
+    def _moved_along(self, number: int, step: int) -> Floats:
+        """Return the axes (3, 3) along which motion holds a probe sideways, 0 for the others: what
+        is held by force is as it should be."""
+        held = self._job.steps[step].by_force[MOTIONS * number :][:Z, None]
+        return np.where(held, 0.0, self._job.setups[number].first.axes[:Z])
+
+    def _sideways_by_chance(
+        self, state: ContactState, other: ContactState, step: int, borders: list[_Border]
+    ) -> float:
+        """Return what other patches change of the forces sideways under objects that stick, over
+        the forces: as straight pieces of their borders are cut by chance, it has no order."""
+        changes = [0.0]
+        pairs = zip(borders, (state, *state.also), (other, *other.also), strict=True)
+        for number, (border, one, two) in enumerate(pairs):
+            if border.setup.is_free_form and border.stuck > 0.0:
+                sideways = self._moved_along(number, step) @ (two.force_n - one.force_n)
+                changes.append(_over(sideways, one.force_n))
+        return max(changes)
+
     def _stuck_border(self, number: int, border: _Border, step: int) -> float:
         """Return the error of the force sideways, over it, as patches that a smooth probe's border
         cuts stick as a whole: what their area is too large by."""
         setup, state = border.setup, border.state
-        smooth = border.is_smooth or setup.is_free_form
-        held = self._job.steps[step].by_force[MOTIONS * number :]
-        if not smooth or len(state.pressure_mpa) == 0:
+        if not (border.is_smooth or setup.is_free_form) or len(state.pressure_mpa) == 0:
             return 0.0
         counted = float(_areas(border.load).sum())
-        stuck = float((~state.slip[border.patches]).mean()) if state.friction > 0.0 else 0.0
-        # What is held by force sideways is as it should be; what is held by motion is too large.
-        sideways = np.where(held[:Z], 0.0, setup.first.axes[:Z] @ state.force_n)
+        axes = self._moved_along(number, step)
         excess = _WHOLE * abs(counted / state.area_mm2 - 1.0)
         least = _CUT_STUCK * math.sqrt(math.pi / len(state.pressure_mpa)) / 2.0
         if setup.is_free_form:  # its area is counted: patches stick as far as its edges are smooth
             least *= math.sqrt(border.longer) * (1.0 - border.ends_sharply)
-        return stuck * max(excess, least) * _over(sideways, state.force_n)
+        alike = max(excess, least) * _over(axes @ state.force_n, state.force_n)
+        by_chance = least * _over(border.by_pieces(axes), state.force_n)
+        return border.stuck * math.hypot(alike, by_chance)
 
     def _moved(self, load: Load, points: Points) -> Points:
         """Return (n, 3) how far a load moves points of the body, or of a half-space (E = 1 MPa)
@@ -688,6 +707,13 @@ class _Border:
     def touches(self) -> bool:
         """Whether there is any."""
         return len(self.state.pressure_mpa) > 0
+
+    @property
+    def stuck(self) -> float:
+        """The share of its patches that stick."""
+        if not (self.touches and self.state.friction > 0.0):
+            return 0.0
+        return float((~self.state.slip[self.patches]).mean())
 
     @property
     def thin(self) -> float:
@@ -893,31 +919,51 @@ class _Border:
         count = len(self.state.pressure_mpa)
         return max(1.0, len(self.open_sides[0]) * math.sqrt(math.pi / count) / 8.0)
 
-    @property
-    def by_chance(self) -> float:
-        """The square of a patch's extent over the contact's width, as a disc's radius, with all of
-        a straight border along the grid cut alike, and as many such pieces by chance."""
+    @cached_property
+    def _pieces(self) -> Ints:
+        """(m,) which straight piece of it along the grid each open side lies on: a piece is cut
+        alike, different ones by chance."""
         patch, way, extent = self.open_sides
-        load, area = self.load, _areas(self.load)
+        load = self.load
         axes = load.frames[len(load) // 2, :2]
         outwards = np.rint(way @ axes.T).astype(int)
         away = np.sum((load.centre_mm[patch] - load.centre_mm[0]) @ axes.T * outwards, axis=1)
         lines = np.column_stack([outwards, np.rint(away / extent).astype(int)])
+        return np.unique(lines, axis=0, return_inverse=True)[1].ravel()
+
+    @property
+    def by_chance(self) -> float:
+        """The square of a patch's extent over the contact's width, as a disc's radius, with all of
+        a straight border along the grid cut alike, and as many such pieces by chance."""
+        patch, _, extent = self.open_sides
+        area = _areas(self.load)
         length = area[patch] / extent
-        pieces = np.bincount(np.unique(lines, axis=0, return_inverse=True)[1].ravel(), length)
         width = 8.0 / math.pi * area.sum()  # times the length of the border
-        alike = float(np.linalg.norm(pieces))
+        alike = float(np.linalg.norm(np.bincount(self._pieces, length)))
         return float(length @ extent**2) * alike / float(width**2)
+
+    def by_pieces(self, axes: Floats) -> float:
+        """Return the force along axes (c, 3), N, that its tractions would be on the whole contact,
+        alike within a piece and by chance from one to the next: where a probe was turned, those of
+        its two ends cancel, but not what cutting each does."""
+        patch, _, extent = self.open_sides
+        area = _areas(self.load)
+        length = area[patch] / extent
+        along = length[:, None] * (self.state.traction_mpa[patch] @ axes.T)
+        pieces = np.array([np.bincount(self._pieces, one) for one in along.T])
+        return float(np.linalg.norm(pieces) / length.sum() * area.sum())
 
     @property
     def force_error(self) -> float:
         """The error of the force as patches cut a border within an upright flat face, or an
         object's, and miss its sharp edges."""
         setup, face = self.setup, self.setup.face
-        within = False
-        if face and not (setup.body.is_flat or setup.has_inclined_face):
-            within = self.state.area_mm2 < 0.99 * face.area_mm2
-        if not (self.touches and (within or setup.is_free_form)):
+        if not self.touches:
+            return 0.0
+        if setup.has_inclined_face:  # a square one's rim may lie askew to the patches
+            return self._astray if isinstance(setup.probe, Pillar) else 0.0
+        within = face and not setup.body.is_flat and self.state.area_mm2 < 0.99 * face.area_mm2
+        if not (within or setup.is_free_form):
             return 0.0
         grown = 1.0 + _CUT_FREE_THIN * self.thin
         if within:

@@ -151,7 +151,7 @@ def _distance(
 
 RIM = 1.005
 """A patch whose middle lies this share of the half width from the middle still belongs to a flat
-face."""
+face that is upright; an inclined one's rim would sink in deeper than it is pressed."""
 
 
 class Shape(Protocol):
@@ -478,7 +478,8 @@ class Approach:
     @cached_property
     def shape(self) -> Shape:
         """The probe's surface."""
-        return self.smooth or _shape_of(self.probe, self.tilt_deg, RIM)
+        rim = 1.0 if any(self.tilt_deg[:Z]) else RIM
+        return self.smooth or _shape_of(self.probe, self.tilt_deg, rim)
 
     def held_turned(self, turn: Floats) -> Approach:
         """Return the probe as one that was tilted by a turn (3,), a rotation vector about its own
