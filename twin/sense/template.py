@@ -154,19 +154,20 @@ def _uncover(image, others, sites, column, row, offset, runs, signal, use):
                 for k in range(max(i - DIMS_PX, 0), min(i + DIMS_PX + 1, len(runs))):
                     first, last = x - DIMS_PX - runs[k, 1], x + DIMS_PX + 1 - runs[k, 1]
                     for q in range(max(first, 0), min(last, runs[k, 2])):
-                        if use[runs[k, 3] + q] == 1.0:
-                            use[runs[k, 3] + q] = DIMMED
+                        near = runs[k, 3] + q
+                        if use[near] != 1.0:
+                            continue
+                        use[near] = DIMMED
+                        y, across = row + runs[k, 0], column + runs[k, 1] + q
+                        r = np.float32(image[y, across, 0])
+                        g = np.float32(image[y, across, 1])
+                        b = np.float32(image[y, across, 2])
+                        for o in range(len(others)):
+                            shows = others[o, 0] * r + others[o, 1] * g + others[o, 2] * b
+                            covers = (shows - others[o, 4]) * others[o, 5]
+                            signal[near] /= np.float32(1.0) - max(covers, np.float32(0.0))
         for p in range(offset.shape[1] if least < 0.0 else 0):
-            if use[p] == DIMMED:
-                x, y = column + offset[0, p], row + offset[1, p]
-                r = np.float32(image[y, x, 0])
-                g = np.float32(image[y, x, 1])
-                b = np.float32(image[y, x, 2])
-                for k in range(len(others)):
-                    shows = others[k, 0] * r + others[k, 1] * g + others[k, 2] * b - others[k, 4]
-                    signal[p] /= np.float32(1.0) - max(shows * others[k, 5], np.float32(0.0))
-                use[p] = np.float32(1.0)
-            use[p] = max(use[p], np.float32(0.0))
+            use[p] = min(max(use[p], np.float32(0.0)), np.float32(1.0))
     if sites[0, 0] + sites[0, 1] + sites[1, 0] + sites[1, 1] < 4.0:
         for p in range(offset.shape[1]):
             if use[p] > 0.0:
