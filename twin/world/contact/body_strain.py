@@ -237,6 +237,7 @@ class BodyStrain(FiniteStrain):
                 "surface); smooth ones are solved",
             )
         self._body = body
+        self._drawn = [one.probe for one in presses]
         self._material = material
         self._path = tuple(path) or (state,)
         self._number = next(n for n, one in enumerate(self._path) if one is state)
@@ -536,8 +537,31 @@ class BodyStrain(FiniteStrain):
         linear = settle(start, 1.0, linear=True)
         if like is not None:
             return linear, settle(like.finite, 1.0, linear=False)
-        start = replace(linear, pressure=linear.pressure * contact.lift)
+        pressure, tilt = linear.pressure * contact.lift, self._tilts(contact, linear)
+        start = replace(linear, pressure=pressure, tilt=tilt)
         return linear, contact.rubber.loaded(settle, start)
+
+    def _tilts(self, contact: RubberContact, linear: RubberContact.State) -> Floats:
+        """Return by how much (p, 3) the direction of the force per pressure is tilted across each
+        probe's way, so that the mesh's uneven pressure pushes the rubber no more aside than that
+        of `pressing` does: of what a mesh is off, this reaches farthest."""
+        moved = contact.rubber.displacement(linear.unknowns)
+        locator = Locator(contact.rubber.mesh)
+        tilts = np.zeros((len(contact.touches), Z + 1))
+        for number, (touch, rows, one) in enumerate(
+            zip(contact.touches, contact.rows, _probes(self._state), strict=True)
+        ):
+            if touch.approach.probe != self._drawn[number]:
+                continue  # the peak of pressure at a sharper rim belongs to other slopes
+            patches, axes, pose = one.patches, touch.axes, linear.pose[number]
+            assert patches is not None
+            at = locator.locate(patches.centre_mm)
+            there = patches.centre_mm + np.einsum("qa,qai->qi", at.weights, moved[at.nodes])
+            force = touch.area_mm2 * touch.lift * linear.pressure[rows]
+            aside = touch.mean_push(there, patches.force_n @ axes[Z], pose)
+            aside -= touch.mean_push(touch.deformed(moved), force, pose)
+            tilts[number] = aside @ axes[:Z].T @ axes[:Z]
+        return tilts
 
 
 def _away(state: ContactState, points: Points) -> Floats:

@@ -302,7 +302,7 @@ class SurfaceTouch:
         self.weights = np.tile(values, (int(used.sum()), 1))
         self.inward = body.piece_normals(self.rest_mm)[:, 0]
         self._rubs = rubs
-        self._approach = approach
+        self.approach = approach
         self.axes = approach.axes
         self.lift = self.inward @ approach.axes[Z]
         self._frames = np.broadcast_to(np.eye(3), (len(self.inward), 3, 3))
@@ -319,7 +319,7 @@ class SurfaceTouch:
         shift = self._shift(displacement)
         if linear:
             return np.asarray(shift - self._carry @ pose)
-        own = (self.rest_mm + shift - self._approach.axis_mm) @ self._approach.axes.T
+        own = (self.rest_mm + shift - self.approach.axis_mm) @ self.approach.axes.T
         return np.asarray((own - pose[: Z + 1]) @ Approach.rotation_of(pose[ABOUT_X:]))
 
     def own(self, ways: Floats, pose: Floats, *, linear: bool) -> Floats:
@@ -332,13 +332,13 @@ class SurfaceTouch:
         """Return the undeformed surface's gaps (q,) in the linear solution, and slopes (q, 6); with
         friction it moves sideways with the probe, and a round one rolls over it."""
         if not self._rubs:
-            return self._approach.gap(self.rest_mm, self.inward, pose)
+            return self.approach.gap(self.rest_mm, self.inward, pose)
         motions = np.arange(MOTIONS)
-        comes = (motions == Z) | (self._approach.is_round & (motions >= ABOUT_X) & (motions < TURN))
+        comes = (motions == Z) | (self.approach.is_round & (motions >= ABOUT_X) & (motions < TURN))
         lowered = np.where(comes, pose, 0.0)
         if slid_mm is not None:
             lowered[:Z] = slid_mm
-        gap, slope = self._approach.gap(self.rest_mm, self.inward, lowered)
+        gap, slope = self.approach.gap(self.rest_mm, self.inward, lowered)
         slope = np.where(comes, slope, -self._along)
         return gap - self._along @ (pose - lowered), slope
 
@@ -362,7 +362,7 @@ class SurfaceTouch:
         slid_mm = np.zeros(Z) if slid_mm is None else slid_mm
         anchors = _Anchors.none(len(self.rest_mm)) if anchors is None else anchors
         shift = self._shift(displacement)
-        axes = self._approach.axes
+        axes = self.approach.axes
         none = np.zeros((len(shift), 3, 3))
         if linear:
             gap, slope = self.rest_gap(pose, slid_mm)
@@ -384,11 +384,11 @@ class SurfaceTouch:
         turned = Approach.rotation_of(pose[ABOUT_X:])
         place = self.rest_mm + shift
         aside = pose[: Z + 1] @ axes
-        own = ((place - self._approach.axis_mm - aside) @ axes.T) @ turned
+        own = ((place - self.approach.axis_mm - aside) @ axes.T) @ turned
         upright = np.broadcast_to([0.0, 0.0, 1.0], own.shape)
 
         def met(points: Points) -> tuple[Floats, Floats, Floats]:
-            gap, normal = self._approach.shape.met(points, upright)
+            gap, normal = self.approach.shape.met(points, upright)
             gap = np.where(normal[:, Z] > _STEEPEST, gap, np.inf)
             return gap, normal / np.maximum(normal[:, Z:], _STEEPEST), normal
 
@@ -400,7 +400,7 @@ class SurfaceTouch:
             none[sound, :, axis] = ((more - less) / (2.0 * _NUDGE_MM))[sound]
         outer = turned.T @ axes  # the probe's own axes as rows
         push = push @ outer
-        carry = self._approach.jacobian(place, self._frames, aside)
+        carry = self.approach.jacobian(place, self._frames, aside)
         carry[:, :, ABOUT_X:] = carry[:, :, ABOUT_X:] @ Approach.turning_of(pose[ABOUT_X:])
         lift = np.einsum("qi,qim->qm", push, carry)
         return _Met(
@@ -414,16 +414,30 @@ class SurfaceTouch:
             carry=carry,
         )
 
+    def deformed(self, displacement: Floats) -> Points:
+        """Return where the points (q, 3) are, mm."""
+        return np.asarray(self.rest_mm + self._shift(displacement))
+
+    def mean_push(self, place: Points, force: Floats, pose: Floats) -> Floats:
+        """Return the mean direction (3,) of the force per pressure of points of the surface at
+        deformed places (n, 3), by their forces (n,) along the probe's way."""
+        turned = Approach.rotation_of(pose[ABOUT_X:])
+        own = ((place - self.approach.axis_mm) @ self.axes.T - pose[: Z + 1]) @ turned
+        upright = np.broadcast_to([0.0, 0.0, 1.0], own.shape)
+        normal = self.approach.shape.met(own, upright)[1]
+        push = normal / np.maximum(normal[:, Z:], _STEEPEST)
+        return np.asarray((force @ push / force.sum()) @ turned.T @ self.axes)
+
     def radius_mm(self, pressure: Floats, displacement: Floats | None = None) -> float:
         """Return the radius of the contact, at rest or after a displacement, mm; of a flat face the
         root mean square distance of the pressure from its middle.
 
         Under Hertz's pressure the force beyond r is as (a^2 - r^2)^1.5.
         """
-        place = self.rest_mm if displacement is None else self.rest_mm + self._shift(displacement)
+        place = self.rest_mm if displacement is None else self.deformed(displacement)
         force = pressure * self.area_mm2 / (pressure @ self.area_mm2)
         squared = ((place - force @ place) ** 2).sum(axis=1)
-        if not self._approach.is_round:
+        if not self.approach.is_round:
             return float(np.sqrt(force @ squared))
         order = np.argsort(squared)
         beyond = 1.0 - np.cumsum(force[order]) + force[order] / 2.0
@@ -450,6 +464,7 @@ class RubberContact:
         force: Floats  # (p, 6) forces and torques on the body, over Young's modulus
         slips: Bools  # (q,) points whose friction is at its bound
         slid_mm: Floats  # (p, 2) how far the probes slid as a whole, in the linear solution
+        tilt: Floats  # (p, 3) what is added to the direction of the force per pressure
 
     def __init__(
         self,
@@ -494,6 +509,7 @@ class RubberContact:
             force=none,
             slips=np.zeros(points, bool),
             slid_mm=none[:, :Z],
+            tilt=none[:, : Z + 1],
         )
 
     def settled(
@@ -792,7 +808,7 @@ class RubberContact:
             at_nodes = (self._weight[on, :, None] * vectors[:, None, :]).reshape(len(on), 18)
             return np.hstack([at_nodes, motions])
 
-        carried = spread(met.push[on], -met.lift[on])
+        carried = spread(met.push[on] + state.tilt[self._owner[on]], -met.lift[on])
         slope = spread(met.push[on], met.per_motion[on])
         block = (self._spring * area)[:, None, None] * carried[:, :, None] * slope[:, None, :]
         axes = np.broadcast_to(np.eye(3), (len(on), 3, 3))
