@@ -396,8 +396,11 @@ def test_sphere_on_a_dome_is_another_codes_all_around_and_so_is_its_contact_radi
     wanted = np.concatenate([np.outer(change[:, 0], [np.cos(a), np.sin(a), 0.0]) for a in angles])
     wanted[:, 2] = np.tile(change[:, 1], 4)
     size = largest(np.array(case["linear_mm"]))
-    left = largest(more.displacement(places) - wanted) / size
+    off_by = more.displacement(places) - wanted
+    left = largest(off_by) / size
     assert left < 7e-3 < largest(wanted) / size / 7
+    # On a body of revolution nothing goes to one side; a coarse mesh's uneven pressure pushed it by 1.4e-3 and 1.8e-3.
+    assert largest(off_by.reshape(len(angles), -1, 3).mean(axis=0)[:, :2]) / size < 1.3e-3
     # The body's coarsest mesh differs from machine to machine: 1.4 to 2.7 on six each.
     assert left < more.error.markers < 3.5 * left
     assert more.indentation_mm / case["indentation_linear_mm"] == pytest.approx(deeper(case), abs=1.5e-3)
