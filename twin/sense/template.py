@@ -234,8 +234,8 @@ SECTORS, LEFT_OUT = 2 * DIRECTIONS, 5
 """Parts that an edge is cut into, and how many of them are left out at a time: 112 degrees, what a
 strip of a fifth of the width covers (106)."""
 
-TURNED = np.exp(1j * np.pi / SECTORS * np.arange(2 * SECTORS + LEFT_OUT))
-TURNED = np.column_stack([TURNED.real, TURNED.imag])
+_HALF_SECTORS = np.pi / SECTORS * np.arange(2 * SECTORS + LEFT_OUT)
+TURNED = np.column_stack([np.cos(_HALF_SECTORS), np.sin(_HALF_SECTORS)])
 """Directions, each turned by half a sector from the one before."""
 
 ON_MARKER = 0.3

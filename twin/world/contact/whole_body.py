@@ -319,7 +319,11 @@ class SurfaceTouch:
         shift = self._shift(displacement)
         if linear:
             return np.asarray(shift - self._carry @ pose)
-        own = (self.rest_mm + shift - self.approach.axis_mm) @ self.approach.axes.T
+        return self._in_own_axes(self.rest_mm + shift, pose)
+
+    def _in_own_axes(self, place: Points, pose: Floats) -> Points:
+        """Return where deformed places (n, 3) are in the probe's own axes, mm."""
+        own = (place - self.approach.axis_mm) @ self.axes.T
         return np.asarray((own - pose[: Z + 1]) @ Approach.rotation_of(pose[ABOUT_X:]))
 
     def own(self, ways: Floats, pose: Floats, *, linear: bool) -> Floats:
@@ -421,12 +425,12 @@ class SurfaceTouch:
     def mean_push(self, place: Points, force: Floats, pose: Floats) -> Floats:
         """Return the mean direction (3,) of the force per pressure of points of the surface at
         deformed places (n, 3), by their forces (n,) along the probe's way."""
-        turned = Approach.rotation_of(pose[ABOUT_X:])
-        own = ((place - self.approach.axis_mm) @ self.axes.T - pose[: Z + 1]) @ turned
+        own = self._in_own_axes(place, pose)
         upright = np.broadcast_to([0.0, 0.0, 1.0], own.shape)
         normal = self.approach.shape.met(own, upright)[1]
         push = normal / np.maximum(normal[:, Z:], _STEEPEST)
-        return np.asarray((force @ push / force.sum()) @ turned.T @ self.axes)
+        outer = Approach.rotation_of(pose[ABOUT_X:]).T @ self.axes  # the probe's own axes as rows
+        return np.asarray((force @ push / force.sum()) @ outer)
 
     def radius_mm(self, pressure: Floats, displacement: Floats | None = None) -> float:
         """Return the radius of the contact, at rest or after a displacement, mm; of a flat face the
