@@ -12,7 +12,14 @@ from benchmarks.contact_theory import punch_stiffness
 from benchmarks.record import stored
 from twin.errors import InputError
 from twin.parts.material import plane_strain_modulus
-from twin.theory.contact import KNOWN_RADIUS, hertz, largest_strain_and_turn, law_of, punch_pressure
+from twin.theory.contact import (
+    KNOWN_RADIUS,
+    cone_contact_radius,
+    hertz,
+    largest_strain_and_turn,
+    law_of,
+    punch_pressure,
+)
 from twin.world.contact.finite_strain import measured_linearity
 
 PROBES = ("sphere", "cylinder", "pillar")
@@ -135,3 +142,12 @@ def test_punch_pressure_sums_to_the_force_and_pushes_evenly():
 def test_hertz_refuses_what_is_not_a_press(given):
     with pytest.raises(InputError):
         hertz(radius_mm=1.0, **RUBBER, **given)
+
+
+@pytest.mark.parametrize("given", [{"poisson_ratio": 1.0}, {"poisson_ratio": -1.0}, {"youngs_modulus_mpa": 0.0}])
+def test_closed_forms_refuse_what_no_solid_has(given):
+    rubber = {**RUBBER, **given}
+    with pytest.raises(InputError, match=f"{next(iter(given))} = {next(iter(given.values())):g}"):
+        hertz(radius_mm=1.0, force_n=1.0, **rubber)
+    with pytest.raises(InputError, match=r"above -1 and at most 0\.5"):
+        cone_contact_radius(1.0, 150.0, **rubber)

@@ -8,6 +8,7 @@ from typing import Literal, Self, TypeVar
 from pydantic import Field, field_validator, model_validator
 
 from twin.arrays import Floats
+from twin.errors import InputError
 from twin.parts.part import LEAST_MM, LEAST_MPA, Flag, Part, Share
 
 Modulus = TypeVar("Modulus", float, Floats)
@@ -146,7 +147,17 @@ def shear_modulus(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulu
     return youngs_modulus_mpa / (2.0 * (1.0 + poisson_ratio))
 
 
-def plane_strain_modulus(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulus:
-    """Return E* = E / (1 - nu^2), in the unit of E (contact with a rigid body; Johnson 1985,
-    4.2)."""
+def plane_strain_modulus(youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return E* = E / (1 - nu^2), in the unit of E (contact with a rigid body; Johnson 1985, 4.2).
+
+    Raises
+    ------
+    InputError
+        No stable solid has this E and nu.
+    """
+    if not (youngs_modulus_mpa > 0 and -1 < poisson_ratio <= 0.5):
+        raise InputError(
+            f"youngs_modulus_mpa = {youngs_modulus_mpa:g} MPa must be above 0, poisson_ratio = "
+            f"{poisson_ratio:g} above -1 and at most 0.5"
+        )
     return youngs_modulus_mpa / (1.0 - poisson_ratio**2)

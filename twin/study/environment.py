@@ -80,16 +80,6 @@ class Observation:
         defined.
     exposure
         Number of the picture's noise.
-
-    Examples
-    --------
-    >>> import twin
-    >>> quick = {"accuracy.contact_patches": 8, "accuracy.centroid_px": 0.05}
-    >>> environment = twin.Environment(twin.load_scene("kamiyama_pillar", quick))
-    >>> load = twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0, 0, 1))
-    >>> observation = environment.step(load)
-    >>> observation.error["total_force_error"] < 0.1
-    True
     """
 
     picture: Picture
@@ -129,6 +119,8 @@ class Environment:
     >>> load = twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0, 0, 1))
     >>> observation = environment.step(load)
     >>> bool(0.9 < observation.total_force_n[2] < 1.1)  # N
+    True
+    >>> observation.error["total_force_error"] < 0.1
     True
 
     A probe is pressed on, then moved on sideways from where it is:

@@ -154,11 +154,6 @@ def _fov(pad: Pad) -> float:
     return math.degrees(2 * math.atan(pad.sensor_mm / 2 / pad.focal_mm))
 
 
-def _plate_mm(distance: float) -> float:
-    """Return the thickness of the plate that the pad lies on, mm."""
-    return min(PLATE_MM, distance / 4)
-
-
 def _room(side: float, diameter: float) -> float:
     """Return how far from the pad's middle dots may lie, mm: a border stays free."""
     return side / 2 - max(0.06 * side, diameter)
@@ -267,7 +262,7 @@ def _recipe_of(pad: Pad) -> tuple[str, list[str]]:
     near = _distance_to_see_all(pad, layers, focal)
     distance = near if pad.camera_mm is None else pad.camera_mm
     _in_range("camera-mm", distance, "mm", 2, 1000, "from the back of the pad to the lens")
-    plate = _plate_mm(distance)
+    plate = min(PLATE_MM, distance / 4)
     tables, extent, unseen = _layer_tables(pad, layers, distance, plate, focal)
     if distance > FAR * near:
         unseen.append(

@@ -65,7 +65,8 @@ def hertz(
     Raises
     ------
     InputError
-        Neither or both of force and indentation are given, or not greater than 0.
+        Neither or both of force and indentation are given, or not greater than 0; no solid has this
+        modulus and Poisson's ratio.
 
     Notes
     -----
