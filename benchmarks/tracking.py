@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from benchmarks.discs import bound_px, expose, scene
 from twin.blas_threads import one_thread
 from twin.sense.reference import METHODS
-from twin.sense.track import Tracker, analyse_rest, track_frame
+from twin.sense.track import Tracker, analyse_rest
 
 SIZE = (640, 480)
 Layout = dict[str, np.ndarray]
@@ -114,7 +114,7 @@ def ways(rest: np.ndarray, layout: Layout, diameter: float) -> Iterator[tuple[st
     yield "twin disc-fit, sequence", lambda picture: tracker.track(picture).shift_px
     for method in METHODS:
         analysed = analyse_rest(rest, layout, method=method)
-        yield f"twin {method}, cold", lambda picture, a=analysed: track_frame(a, picture).shift_px
+        yield f"twin {method}, cold", lambda picture, a=analysed: Tracker.motion(a, picture).shift_px
     yield "OpenCV SimpleBlobDetector", _peer(rest, layout, _opencv_blobs(diameter)) if find_spec("cv2") else None
     yield "OpenCV connected components", _peer(rest, layout, _opencv_parts) if find_spec("cv2") else None
     yield "trackpy locate", _peer(rest, layout, _trackpy(diameter)) if find_spec("trackpy") else None

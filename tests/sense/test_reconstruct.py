@@ -299,7 +299,7 @@ def test_markers_that_err_more_than_the_others_widen_what_rests_on_them():
         data = random.normal(0, noise)
         found.append(rows @ factors.forces(data, 1e-9).ravel())
         scale = factors.noise_scale(data, 1e-9)
-        even = scale**2 * np.diag(factors.covariance(1e-9, rows))
+        even = scale**2 * factors.variance(1e-9, rows)
         stated.append([even, even + factors.misfit_variance(data, 1e-9, rows, scale)])
     alike, own = np.mean(stated, axis=0) / np.var(found, axis=0)
     assert alike[0] < 0.6
@@ -336,7 +336,7 @@ def test_factors_of_some_markers_are_their_own_and_round_off_chooses_no_weight(l
     assert used <= 10 * likely, "such data don't state how large forces are"
     for weight in weights:
         assert_allclose(some.forces(data, weight), own.forces(data, weight), rtol=1e-8)
-        assert_allclose(some.covariance(weight, ways), own.covariance(weight, ways), rtol=1e-8)
+        assert_allclose(some.variance(weight, ways), own.variance(weight, ways), rtol=1e-8)
         assert_allclose(some.site_variance(weight, 0.3 * weight), own.site_variance(weight, 0.3 * weight), rtol=1e-8)
         assert some.noise_scale(data, weight) == pytest.approx(own.noise_scale(data, weight), rel=1e-8)
     for column in range(0, 20, 4):
@@ -763,3 +763,48 @@ def test_bumps_weigh_alike():
     bumps = [Bump.of(found, calibration) for found in moved]
     assert bumps[0].shift_px == pytest.approx(bumps[1].shift_px, abs=bumps[1].sd_px)
     assert bumps[0].sd_px == pytest.approx(bumps[1].sd_px, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"weight": "gcv"},
+        {"weight": 0.3},
+        {"method": "norm"},
+        {"method": "pinv"},
+        {"push_only": True},
+        {"robust": True},
+    ],
+)
+def test_pictures_that_are_solved_together_have_the_fields_of_each(options):
+    """Also among them: an empty picture, lost markers, uneven noise, motion that no force explains."""
+    _, _, calibration = FINGER
+    rng = np.random.default_rng(3)
+    loads = [
+        ((0.0, 0.0), 3.0, (0.0, 0.1, 1.0)),
+        ((1.0, -1.0), 4.0, (0.3, 0.0, 0.5)),
+        ((-1.0, 0.5), 2.0, (0.0, 0.0, 0.2)),
+    ]
+    found = [pressed(FINGER, *load, 0.02, seed) for seed, load in enumerate(loads)]
+    odd = found[0].shift_px + rng.normal(size=found[0].shift_px.shape)
+    lost = found[1].shift_px.copy()
+    lost[:3] = np.nan
+    found.append(dataclasses.replace(found[0], shift_px=odd))
+    found.append(dataclasses.replace(found[1], shift_px=lost, state=None))
+    found.append(dataclasses.replace(found[0], shift_px=np.zeros_like(odd)))
+    found.append(dataclasses.replace(found[2], sd_px=found[2].sd_px * rng.choice([1.0, 4.0], len(odd))))
+    found.append(dataclasses.replace(found[2], sd_px=2.0 * found[2].sd_px, gain_error=0.1, drift_px=0.01 * odd))
+    together = reconstruct(found, calibration, **options)
+    for one, field in zip(found, together, strict=True):
+        alone = reconstruct(one, calibration, **options)
+        for name, value in vars(alone).items():
+            if isinstance(value, str):
+                assert getattr(field, name) == value
+            else:
+                assert_allclose(getattr(field, name), value, rtol=1e-8, atol=1e-12, err_msg=name)
+    assert reconstruct([], calibration) == []
+    with pytest.raises(InputError, match="of one picture, not of a list"):
+        reconstruct(found, calibration, history=Hereditary(None))
+    with pytest.raises(InputError, match="the motion must be a Found"):
+        reconstruct([found[0], None], calibration)

@@ -9,7 +9,7 @@ from drawn import flat_layout, joined, picture, wide
 
 from benchmarks.conditions import Card, film, hidden, jpeg, mosaic
 from benchmarks.discs import expose
-from twin.sense.track import Tracker, analyse_rest, track, track_frame
+from twin.sense.track import Tracker, analyse_rest, track
 
 CAMERAS = {"jpeg": jpeg, "mosaic": mosaic, "both": lambda image: jpeg(mosaic(image))}
 
@@ -23,7 +23,7 @@ def test_stated_variance_of_compressed_and_mosaic_pictures(camera, diameter):
     scores = []
     for draw in range(3):
         shift = random.uniform(-3.5, 3.5, joined(layout).shape)
-        found = track_frame(rest, CAMERAS[camera](picture(shift, 1 + draw, layout, size, diameter)))
+        found = Tracker.motion(rest, CAMERAS[camera](picture(shift, 1 + draw, layout, size, diameter)))
         assert found.seen.all()
         scores.append((found.shift_px - shift) / found.sd_px[:, None])
     assert 1 / 1.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
@@ -37,7 +37,7 @@ def test_small_compressed_dots_state_a_true_deviation(diameter, largest):
     card, scores = Card(diameter), []
     for seed in range(10, 18):
         rest, shift = analyse_rest(jpeg(expose(card.draw(), 100 * seed + 1)), card.layout), card.shifts(10 + seed)
-        found = track_frame(rest, jpeg(expose(card.draw(shift), 20 + seed)), np.zeros_like(shift))
+        found = Tracker.motion(rest, jpeg(expose(card.draw(shift), 20 + seed)), np.zeros_like(shift))
         scores.append(((found.shift_px - shift) / found.sd_px[:, None])[card.count :])
     assert np.sqrt(np.nanmean(np.square(scores))) < largest
 

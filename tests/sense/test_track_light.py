@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 
 from benchmarks.conditions import Card, mosaic
 from benchmarks.discs import bound_px, cover, expose, scene
-from twin.sense.track import Tracker, analyse_rest, track, track_frame
+from twin.sense.track import Tracker, analyse_rest, track
 
 
 @pytest.mark.parametrize("diameter", [10.0, 15.0])
@@ -300,7 +300,7 @@ def test_noise_of_rows_hot_pixels_and_other_light_are_stated(camera, diameter, l
     card = Card(diameter)
     rest = analyse_rest(camera(card.draw(), 1), card.layout)
     shifts = [card.shifts(seed) for seed in (3, 4, 5)]
-    found = [track_frame(rest, camera(card.draw(s), 20 + i)) for i, s in enumerate(shifts)]
+    found = [Tracker.motion(rest, camera(card.draw(s), 20 + i)) for i, s in enumerate(shifts)]
     error = np.concatenate([f.shift_px - s for f, s in zip(found, shifts, strict=True)])
     score = error / np.concatenate([f.sd_px for f in found])[:, None]
     assert np.isfinite(error).mean() > 0.99
@@ -366,7 +366,7 @@ def test_small_dots_of_a_mosaic_state_what_coarse_edges_do_not_show(diameter):
     rest = analyse_rest(of_a_mosaic(card.draw(), 1), card.layout)
     for seed, step in enumerate(((1.3, -0.7), (-2.1, 0.4), (0.6, 2.3))):
         shift = np.array(step) + 0.01 * (card.marks - card.marks.mean(axis=0))
-        found = track_frame(rest, of_a_mosaic(card.draw(shift), 20 + seed))
+        found = Tracker.motion(rest, of_a_mosaic(card.draw(shift), 20 + seed))
         score = (found.shift_px - shift)[found.seen] / found.sd_px[found.seen, None]
         assert found.seen.mean() > 0.95
         assert np.abs(score).max() < 5

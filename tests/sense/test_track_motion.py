@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from benchmarks.conditions import Card
 from benchmarks.discs import expose, scene
 from twin.errors import AccuracyWarning
-from twin.sense.track import Tracker, track, track_frame
+from twin.sense.track import Tracker, track
 
 
 @pytest.mark.parametrize("kind", ["bump", "radial", "uniform"])
@@ -281,7 +281,7 @@ def test_warm_and_cold_agree_in_any_order():
     frames = [picture(s, i) for i, s in enumerate((0.0, 2.0, 4.0, 6.0))]
     tracker = Tracker(frames[0], LAYOUT)
     for place, number in enumerate((0, 2, 1, 3)):
-        warm, cold = tracker.track(frames[number]), track_frame(tracker.rest, frames[number])
+        warm, cold = tracker.track(frames[number]), Tracker.motion(tracker.rest, frames[number])
         assert (warm.spurious_px is None) == (place > 0)
         assert warm.shift_px == pytest.approx(cold.shift_px, abs=0.003)
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from benchmarks.conditions import Card, hidden, jpeg, stretches
 from benchmarks.discs import cover, expose, scene
 from twin import Sensor, load_scene
-from twin.sense.track import Tracker, analyse_rest, track, track_frame
+from twin.sense.track import Tracker, analyse_rest, track
 
 
 @pytest.mark.parametrize(
@@ -422,7 +422,7 @@ def test_a_strained_marker_that_is_partly_hidden_does_not_pass_for_a_smaller_one
         around = drawn[:, :, channel]
         near = (np.abs(np.indices(around.shape)[::-1] - centre[0][:, None, None]) < 14).all(axis=0)
         around[near] = 30 + 130 * cover(card.size, centre, 10.0, 0.7, seen, turned)[near]
-    found = track_frame(analyse_rest(expose(card.draw(), 1), card.layout), expose(drawn, 2), shift + 0.5)
+    found = Tracker.motion(analyse_rest(expose(card.draw(), 1), card.layout), expose(drawn, 2), shift + 0.5)
     hidden = np.arange(len(card.marks)) % 9 == 0
     score = np.hypot(*(found.shift_px - shift).T) / found.sd_px
     assert found.seen[~hidden].mean() > 0.98
@@ -455,7 +455,7 @@ def test_markers_that_the_frame_cuts_and_that_fit_no_outline_are_left_out():
     rest = analyse_rest(expose(card.draw(shade=flat), 1), card.layout)
     known = np.isfinite(rest.rest_px[:, 0])
     assert 0.02 < 1.0 - known.mean() < 0.2
-    found = track_frame(rest, expose(card.draw(0.5, shade=flat), 2), np.zeros_like(rest.rest_px))
+    found = Tracker.motion(rest, expose(card.draw(0.5, shade=flat), 2), np.zeros_like(rest.rest_px))
     assert found.seen[known].all()
     assert not found.seen[~known].any()
 

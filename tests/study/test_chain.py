@@ -16,7 +16,7 @@ from twin.parts.scene import Scene
 from twin.parts.vary import CUT
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct
-from twin.sense.track import Tracker, analyse_rest, track, track_frame
+from twin.sense.track import Tracker, analyse_rest, track
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
@@ -73,9 +73,11 @@ def test_nothing_moves_between_two_pictures_at_rest(name: str) -> None:
     """What is left is noise, also in another marker's shadow: no marker has two places to settle in."""
     sensor = twin.Sensor(twin.load_scene(name))
     rest = analyse_rest(sensor.picture(None), sensor.layout_px)
-    shifts = np.array([track_frame(rest, sensor.picture(None, exposure=number)).shift_px for number in range(20, 26)])
+    shifts = np.array(
+        [Tracker.motion(rest, sensor.picture(None, exposure=number)).shift_px for number in range(20, 26)]
+    )
     noise = np.sqrt(np.mean(shifts.var(axis=0, ddof=1)))
-    same = track_frame(rest, sensor.picture(None)).shift_px
+    same = Tracker.motion(rest, sensor.picture(None)).shift_px
     assert np.sqrt(np.mean(same**2)) < noise
     mean = shifts.mean(axis=0)
     assert np.sqrt(np.mean(mean**2)) < 1.3 * np.sqrt(1 + 1 / len(shifts)) * noise

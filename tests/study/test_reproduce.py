@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_info
 from benchmarks.record import read
 from twin.errors import InputError, TwinError
 from twin.parts.load import Traction
-from twin.sense.track import track_frame
+from twin.sense.track import Tracker
 from twin.show.reproduction_page import reproduction
 from twin.study.reproduce.bench import KAMIYAMA, MADE, OUR_TRACKER, PILLAR_PRESS, WAYS, Bench, Chain, Entry, Trial, Way
 from twin.study.reproduce.record import Quantity, Record, Unprinted
@@ -303,7 +303,7 @@ def test_our_tracker_sees_every_marker_through_the_papers_capture_unit() -> None
     found = rig.track(rig.picture(None, 7), OUR_TRACKER)
     assert found.seen.all()
     assert found.shift_px.std(axis=0).max() < 0.08
-    again = track_frame(rig.rest(OUR_TRACKER), rig.picture(None, 8), found.shift_px)
+    again = Tracker.motion(rig.rest(OUR_TRACKER), rig.picture(None, 8), found.shift_px)
     assert again.seen.all()
 
 

@@ -441,6 +441,12 @@ class Calibration:
         return {name: np.asarray(self.layout_px[self.layer == name]) for name in self.layers}
 
     @cached_property
+    def of_layers(self) -> NDArray[np.float32]:
+        """(l, n, 1) ones for the markers of each of `layers`, else 0."""
+        names = np.array(self.layers)[:, None]
+        return frozen((self.layer == names)[:, :, None].astype(np.float32))
+
+    @cached_property
     def layers(self) -> tuple[str, ...]:
         """The layers' names."""
         return tuple(dict.fromkeys(str(name) for name in self.layer))

@@ -87,7 +87,7 @@ class Seen:
 
     ``coherence`` is how many times as large as by single pixels' noise the errors are; ``light``
     (n,) the logarithm of what the markers' brightness has changed by, where that is not the same
-    for neighbours, else NaN.
+    for neighbours, else NaN; None where it is not measured.
     """
 
     shift_px: Pixels
@@ -95,7 +95,7 @@ class Seen:
     state: NDArray[np.uint8]
     spurious_px: Pixels | None = None
     coherence: float = 1.0
-    light: Floats | float = np.nan
+    light: Floats | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

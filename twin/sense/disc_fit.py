@@ -46,7 +46,6 @@ from twin.sense.rest_templates import (
     BareGround,
     LayerSignal,
     in_other_light,
-    light_at_rest,
 )
 from twin.sense.shape_fit import NORMAL_MEDIAN, Expected, OwnPictures, fit_shapes
 from twin.sense.shift_error import (
@@ -544,7 +543,14 @@ class DiscFit(SoftWindow):
 
     @cached_property
     def _light_at_rest(self) -> tuple[bool, Floats, Floats]:
-        return light_at_rest(self.templates, self.around)
+        """What `in_other_light` needs of the rest picture."""
+        at_rest = self.templates.rest
+        ground = at_rest[:, GROUND] + self.templates.own[3]
+        whole = ground + at_rest[:, LEVEL]
+        shows = bool(medians(np.abs(whole)) > medians(np.abs(ground)))
+        bright = whole if shows else ground
+        logarithm = np.log(np.fmax(np.abs(bright), 1.0))
+        return shows, bright, self.around.slopes(logarithm, at_rest[:, CENTRE])[0]
 
     def _cut(self, fitted: Floats, start_px: Pixels) -> Bools:
         """Return (n,) which markers the picture's frame cuts: less of the edge is in sight, or it

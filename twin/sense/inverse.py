@@ -28,8 +28,8 @@ again where more data are concerned).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from threading import Lock
 from typing import Any
@@ -74,6 +74,12 @@ MOST_RAISED = 10.0
 """What the likely weight is raised by at most, 2 to 5 on the flat sensor. Where few markers are
 seen, any small weight explains their motion and says nothing of how large forces are."""
 
+NOTHING = 2.0 * float(np.finfo(float).tiny)
+"""What is left of data that are all zero."""
+
+_Number = float | Floats
+"""A number of one picture, or (c, 1) of a stack of pictures."""
+
 ROUND_OFF = 1e-14
 """Squared singular values of a weighted problem, over the largest, that are round-off."""
 
@@ -94,6 +100,8 @@ class _Tried:
         (t,) sum of log(1 + S^2/w).
     per_square
         (t,) the cross-validated score over the squared residual; see `_cross_validated`.
+
+    Those around the best one of each picture of a stack have the pictures' axis first.
     """
 
     decades: Floats
@@ -102,6 +110,12 @@ class _Tried:
     log_gain: Floats
     per_square: Floats
 
+    def least(self, score: Floats) -> Ints:
+        """Return the index of the largest weight whose ``score`` (t,) is the least but for
+        `FLAT`."""
+        good = score[..., ::-1] <= score.min(axis=-1, keepdims=True) + FLAT
+        return np.asarray(self.decades.shape[-1] - 1 - good.argmax(axis=-1))
+
 
 class _Trials:
     """The weights that are tried on squared singular values (r,) of ``count`` data: `all_decades`,
@@ -109,17 +123,26 @@ class _Trials:
 
     def __init__(self, squared: Floats, count: int) -> None:
         self._relative, self._count = squared / squared.max(), count
-        self._near: dict[float, _Tried] = {}
         self.all_decades = self._at(DECADES)
+        shape = (len(DECADES), len(STEPS))
+        # memory is taken where it is filled
+        self._near = {
+            f.name: np.empty((*shape, *getattr(self.all_decades, f.name).shape[1:]))
+            for f in fields(_Tried)
+        }
+        self._known = np.zeros(len(DECADES), np.bool_)
 
-    def around(self, decade: float) -> _Tried:
-        """Return those around one of `DECADES`."""
-        near = self._near.get(decade)
-        if near is None:
-            step = DECADES[1] - DECADES[0]
-            near = self._at(np.minimum(decade + step * STEPS, MOST_DECADES))
-            self._near[decade] = near
-        return near
+    def around(self, best: Ints) -> _Tried:
+        """Return those around one of `DECADES`, by its index, or around one for each picture of a
+        stack."""
+        for k in np.atleast_1d(best):
+            if not self._known[k]:
+                step = DECADES[1] - DECADES[0]
+                near = self._at(np.minimum(DECADES[k] + step * STEPS, MOST_DECADES))
+                for name, table in self._near.items():
+                    table[k] = getattr(near, name)
+                self._known[k] = True
+        return _Tried(**{name: table[best] for name, table in self._near.items()})
 
     def _at(self, decades: Floats) -> _Tried:
         weight = 10.0 ** decades[:, None]
@@ -136,16 +159,16 @@ class _Trials:
         )
 
 
-def _automatic(seen: Factors.Spectrum) -> float:
+def _automatic(seen: Factors.Spectrum) -> _Number:
     """Return the larger of `LIKELY` times the most likely weight and the cross-validated one.
 
     An even prior does not expect a press concentrated in few sites, so either rule smooths too
     little, not in the same cases (``python -m benchmarks inverse``).
     """
-    return max(LIKELY * seen.likely, _cross_validated(seen))
+    return np.maximum(LIKELY * seen.likely, _cross_validated(seen))
 
 
-def _most_likely(seen: Factors.Spectrum) -> float:
+def _most_likely(seen: Factors.Spectrum) -> _Number:
     """Return the whitened weight with the largest marginal likelihood.
 
     The forces are drawn from N(0, s^2 Q^-1 / weight) and the whitened noise from N(0, s^2), the
@@ -155,13 +178,13 @@ def _most_likely(seen: Factors.Spectrum) -> float:
     """
 
     def minus_log(tried: _Tried) -> Floats:
-        scale = (tried.left @ seen.energy + seen.outside) / seen.count
+        scale = ((tried.left @ seen.energy[..., None])[..., 0] + seen.outside) / seen.count
         return np.asarray(seen.count * np.log(scale) + tried.log_gain)
 
     return _least(minus_log, seen)
 
 
-def _cross_validated(seen: Factors.Spectrum) -> float:
+def _cross_validated(seen: Factors.Spectrum) -> _Number:
     """Return the weight with the least robust generalised cross-validation score.
 
     With h = S^2/(S^2 + w): (|residual|^2/m) / (1 - sum h/m)^2 (ROBUSTNESS + (1 - ROBUSTNESS) sum
@@ -170,28 +193,29 @@ def _cross_validated(seen: Factors.Spectrum) -> float:
     """
 
     def log_score(tried: _Tried) -> Floats:
-        residual = tried.squared @ seen.energy + seen.outside
+        residual = (tried.squared @ seen.energy[..., None])[..., 0] + seen.outside
         return np.asarray(np.log(residual * tried.per_square))
 
     return _least(log_score, seen)
 
 
-def _least(objective: Callable[[_Tried], Floats], seen: Factors.Spectrum) -> float:
+def _least(objective: Callable[[_Tried], Floats], seen: Factors.Spectrum) -> _Number:
     """Search the logarithm of the weight from `LEAST_DECADES` to `MOST_DECADES`."""
     top = seen.largest
-    if top <= 0.0 or seen.outside <= 0.0:
-        return max(top, 1.0)
-
-    def best(tried: _Tried) -> float:
-        values = objective(tried)
-        last = (values[::-1] <= values[values.argmin()] + FLAT).argmax()
-        return float(tried.decades[-1 - last])
+    nothing = (top <= 0.0) | (seen.outside <= NOTHING)
+    if np.asarray(nothing).all():
+        return np.maximum(top, 1.0)
 
     trials = seen.trials
-    return float(top * 10.0 ** best(trials.around(best(trials.all_decades))))
+    near = trials.around(trials.all_decades.least(objective(trials.all_decades)))
+    best = near.least(objective(near))
+    if not best.ndim:
+        return float(top * 10.0 ** near.decades[best])
+    found = top * 10.0 ** near.decades[np.arange(len(best)), best][:, None]
+    return np.where(nothing, np.maximum(top, 1.0), found)
 
 
-RULES: dict[WeightRule, Callable[[Factors.Spectrum], float]] = {
+RULES: dict[WeightRule, Callable[[Factors.Spectrum], _Number]] = {
     "auto": _automatic,
     "likelihood": lambda seen: seen.likely,
     "gcv": _cross_validated,
@@ -202,6 +226,9 @@ RULES: dict[WeightRule, Callable[[Factors.Spectrum], float]] = {
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Factors:
     """A factorised inverse problem, whitened to unit noise.
+
+    Of one picture, or of a stack of pictures without lost or odd data: then data (m,) and what
+    comes of them have the pictures' axis first, and numbers of a picture are (c, 1).
 
     Attributes
     ----------
@@ -235,6 +262,11 @@ class Factors:
         null: Floats
 
         @cached_property
+        def usual_share(self) -> Floats:
+            """(m,) ones: the information of data that are all the usual ones."""
+            return np.ones(len(self.left))
+
+        @cached_property
         def trials(self) -> _Trials:
             """The weights that rules try where all data are the usual ones."""
             return _Trials(self.singular**2, len(self.left))
@@ -244,17 +276,18 @@ class Factors:
             """(3k, r) squares of ``back``, and (3k,) their sums of ``null``."""
             return self.back**2, (self.null**2).sum(1)
 
-        def along(self, rows: Floats) -> tuple[Floats, Floats]:
-            """Return ``rows`` (q, 3k) times ``back``, and what ``null`` adds to their (q, q)
-            covariance at weight 1; kept for the last rows, which are mostly those of the totals."""
+        def along(self, rows: Floats) -> tuple[Floats, Floats, Floats]:
+            """Return ``rows`` (q, 3k) times ``back``, its squares, and what ``null`` adds to the
+            rows' (q,) variances at weight 1; kept for the last rows, which are mostly those of the
+            totals."""
             last = self._last.get("rows")
             if last is None or last[0] is not rows:
-                unseen = rows @ self.null
-                self._last["rows"] = last = (rows, rows @ self.back, unseen @ unseen.T)
+                seen, unseen = rows @ self.back, ((rows @ self.null) ** 2).sum(axis=1)
+                self._last["rows"] = last = (rows, seen, seen**2, unseen)
             return last[1:]
 
         @cached_property
-        def _last(self) -> dict[str, tuple[Floats, Floats, Floats]]:
+        def _last(self) -> dict[str, tuple[Floats, Floats, Floats, Floats]]:
             return {}
 
     @dataclass(frozen=True, kw_only=True)
@@ -278,22 +311,22 @@ class Factors:
 
         squared: Floats
         energy: Floats
-        rest: float
+        rest: _Number
         count: int
         usual: _Trials | None = None
 
         @cached_property
-        def largest(self) -> float:
+        def largest(self) -> _Number:
             """The largest of `squared`, 0 without any."""
-            return float(self.squared.max(initial=0.0))
+            return _number(self.squared.max(axis=-1, initial=0.0))
 
         @cached_property
-        def outside(self) -> float:
+        def outside(self) -> _Number:
             """`rest`, with a round-off floor."""
-            return self.rest + 1e-20 * (float(self.energy.sum()) + self.rest)
+            return self.rest + 1e-20 * (_total(self.energy) + self.rest) + NOTHING / 2.0
 
         @cached_property
-        def likely(self) -> float:
+        def likely(self) -> _Number:
             """The most likely weight, whitened, which several rules start from."""
             return _most_likely(self)
 
@@ -303,13 +336,13 @@ class Factors:
             return self.usual or _Trials(self.squared, self.count)
 
     modes: Modes
-    size: float = 1.0
+    size: _Number = 1.0
     share: Floats
 
     @cached_property
     def singular(self) -> Floats:
         """(r,) S of the whitened problem."""
-        return self.modes.singular / self.size
+        return np.asarray(self.modes.singular / self.size)
 
     @classmethod
     def of(cls, transfer: Floats, penalty: Floats) -> Factors:
@@ -354,113 +387,125 @@ class Factors:
     @cached_property
     def rows(self) -> Ints:
         """(s,) indices of the data whose information is not the usual one."""
+        if self.share is self.modes.usual_share:
+            return np.arange(0)
         return np.flatnonzero(self.share != 1.0)
 
-    def forces(self, data: Floats, weight: float) -> Floats:
+    def forces(self, data: Floats, weight: _Number) -> Floats:
         """Return (k, 3) forces of whitened data, N."""
         _, along = self._completed(data, weight)
-        return np.asarray((self.modes.back @ (self._filtered(weight) * along)).reshape(-1, 3))
+        return _vectors((self._filtered(weight) * along) @ self.modes.back.T)
 
-    def sums(self, rows: Floats, data: Floats, weight: float) -> Floats:
-        """Return (c, q) ``rows`` (q, 3k) times the forces of (c, m) whitened data."""
-        _, along = self._completed(data.T, weight)
-        return np.asarray(((self.modes.along(rows)[0] * self._filtered(weight)) @ along).T)
+    def sums(self, rows: Floats, data: Floats, weight: _Number) -> Floats:
+        """Return (q,) ``rows`` (q, 3k) times the forces of whitened data; any number of these comes
+        before the pictures."""
+        _, along = self._completed(data, weight)
+        return np.asarray((self._filtered(weight) * along) @ self.modes.along(rows)[0].T)
 
     def filled(self, data: Floats, weight: float) -> Floats:
-        """Return (m,) or (m, q) data of which the usual solution is the weighted one; lost data
-        must be finite."""
+        """Return (m,) data of which the usual solution is the weighted one; lost data must be
+        finite."""
         return self._completed(data, weight)[0] if len(self.rows) else data
 
-    def _completed(self, data: Floats, weight: float) -> tuple[Floats, Floats]:
+    def _completed(self, data: Floats, weight: _Number) -> tuple[Floats, Floats]:
         """Return `filled` data, and U^T of them."""
         rows = self.rows
         if not len(rows):
-            return data, np.asarray(self.modes.left.T @ data)
-        usual = data.copy()
-        usual[rows] = 0.0
-        others = self.modes.left.T @ usual
+            return data, np.asarray(data @ self.modes.left)
+        filled = data.copy()
+        filled[..., rows] = 0.0
+        along = filled @ self.modes.left
         keep = self._keep(weight)
-        some, lack = self.modes.left[rows], (1.0 - self.share[rows])[:, None]
-        columns = data.reshape(len(data), -1).copy()
-        along = others.reshape(len(others), -1)
-        measured = self.share[rows][:, None] * columns[rows]
-        within = np.eye(len(rows)) - lack * ((some * keep) @ some.T)
-        from_others = some @ (keep[:, None] * along)
-        columns[rows] = np.linalg.solve(within, measured + lack * from_others)
-        along = along + some.T @ columns[rows]
-        return columns.reshape(data.shape), along.reshape(others.shape)
+        some, lack = self.modes.left[rows], 1.0 - self.share[rows]
+        within = np.eye(len(rows)) - lack[:, None] * ((some * keep) @ some.T)
+        known = self.share[rows] * data[..., rows] + lack * ((keep * along) @ some.T)
+        lost = np.linalg.solve(within, known.reshape(-1, len(rows)).T).T.reshape(known.shape)
+        filled[..., rows] = lost
+        return filled, along + lost @ some
 
     def towards(self, data: Floats, predicted: Floats) -> Floats:
         """Return (m,) data filled with what any solution predicts: with its own, it is that
         solution's `filled`."""
         return np.asarray(self.share * data + (1.0 - self.share) * predicted)
 
-    def predicted(self, data: Floats, weight: float) -> Floats:
+    def predicted(self, data: Floats, weight: _Number) -> Floats:
         """Return H F of data."""
         _, along = self._completed(data, weight)
-        return np.asarray(self.modes.left @ (self._keep(weight) * along.T).T)
+        return np.asarray((self._keep(weight) * along) @ self.modes.left.T)
 
-    def weight(self, rule: WeightRule, data: Floats) -> float:
+    def weight(self, rule: WeightRule, data: Floats) -> _Number:
         """Return the weight that one of `RULES` chooses for the data."""
         return self.weights(rule, data)[0]
 
-    def weights(self, rule: WeightRule, data: Floats) -> tuple[float, float]:
+    def weights(self, rule: WeightRule, data: Floats) -> tuple[_Number, _Number]:
         """Return `weight`, and the most likely one (`MOST_RAISED`), by which forces are as large
         as the data show them."""
         seen = self._spectrum(data)
         used = RULES[rule](seen)
-        return used, max(seen.likely, used / MOST_RAISED)
+        return used, np.maximum(seen.likely, used / MOST_RAISED)
 
-    def freedom(self, weight: float) -> float:
+    def freedom(self, weight: _Number) -> float:
         """Return the degrees of freedom of the residual over the number of data."""
         fitted = float((self.singular * self._filtered(weight)).sum())
         return 1.0 - fitted / len(self.modes.left)
 
-    def noise_scale(self, data: Floats, weight: float) -> float:
+    def noise_scale(self, data: Floats, weight: _Number) -> _Number:
         """Return how much larger the noise is than stated, as the marginal likelihood at ``weight``
         has it; for weight 0 the residual, the stated noise being one datum more."""
         if len(self.rows):
             residual = data - self.predicted(data, weight)
-            squared = max(float((self.share * data) @ residual), 0.0)
+            squared = np.maximum(_total(self.share * data * residual), 0.0)
         else:  # without the cancellation where weights are small
             seen = self._spectrum(data)
             squared = seen.rest
-            if weight > 0:
-                squared += float(seen.energy @ (weight / (seen.squared + weight)))
+            if not _unweighted(weight):
+                squared = squared + _total(seen.energy * (weight / (seen.squared + weight)))
         count = int(np.count_nonzero(self.share))
-        if weight <= 0:
-            squared, count = squared + 1.0, count - len(self.singular) + 1
-        return float(np.sqrt(squared / max(count, 1)))
+        if _unweighted(weight):
+            squared, count = squared + 1.0, count - self.singular.shape[-1] + 1
+        return np.sqrt(squared / max(count, 1))
 
-    def covariance(self, weight: float, rows: Floats) -> Floats:
-        """Return the (q, q) covariance of ``rows`` (q, 3k) times the forces, at unit noise.
+    def variance(self, weight: _Number, rows: Floats) -> Floats:
+        """Return the (q,) variances of ``rows`` (q, 3k) times the forces, at unit noise.
 
-        That of the posterior, forces being drawn from N(0, Q^-1 / weight); directions that no
-        marker sees keep their prior variance. For weight 0 that of the noise carried through the
+        Those of the posterior, forces being drawn from N(0, Q^-1 / weight); directions that no
+        marker sees keep their prior variance. For weight 0 those of the noise carried through the
         pseudo-inverse.
         """
-        seen, unseen = self.modes.along(rows)
-        if weight <= 0:
-            return np.asarray((seen * self._filtered(0.0) ** 2) @ seen.T)
-        usual = (seen / (self.singular**2 + weight)) @ seen.T + unseen / weight
+        _, seen, unseen = self.modes.along(rows)
+        if _unweighted(weight):
+            return np.asarray(self._filtered(weight) ** 2 @ seen.T)
+        usual = np.asarray((1.0 / (self.singular**2 + weight)) @ seen.T + unseen / weight)
         if not len(self.rows):
-            return np.asarray(usual)
+            return usual
         response, more = self._more(weight)
         widened = response @ rows.T
-        return np.asarray(usual + widened.T @ more @ widened)
+        return np.asarray(usual + (widened * (more @ widened)).sum(axis=0))
 
-    def misfit_variance(self, data: Floats, weight: float, rows: Floats, even: float) -> Floats:
+    def misfit_variance(self, data: Floats, weight: _Number, rows: Floats, even: _Number) -> Floats:
         """Return the (q,) variance of ``rows`` (q, 3k) times the forces that markers' residuals
         show beyond noise that is ``even`` times the stated one: the model errs next to a load.
 
         The covariance HC2 of J. G. MacKinnon and H. White (J. Econometrics 29 (1985) 305), a marker
         at a time: a residual over the root of its share of freedom, times what it moves.
         """
+        if data.ndim > 1:  # a picture after the other
+            every = np.broadcast_arrays(self.size, weight, even)
+            return np.array(
+                [
+                    replace(self, size=float(size[0])).misfit_variance(
+                        one, float(own[0]), rows, float(of_one[0])
+                    )
+                    for one, size, own, of_one in zip(data, *every, strict=True)
+                ]
+            )
         root = np.sqrt(self.share)
         seen = root[:, None] * self.modes.left * self.singular
         count = len(self.singular)
         stiffness = seen.T @ seen + weight * np.eye(count)
-        inverse = np.linalg.solve(stiffness, seen.T) if weight > 0 else np.linalg.pinv(seen)
+        inverse = (
+            np.linalg.pinv(seen) if _unweighted(weight) else np.linalg.solve(stiffness, seen.T)
+        )
         fitted = seen.reshape(-1, 2, count) @ inverse.reshape(count, -1, 2).transpose(1, 0, 2)
         freedom, axes = np.linalg.eigh(np.eye(2) - fitted)
         residual = (root * (data - self.predicted(data, weight))).reshape(-1, 2, 1)
@@ -470,7 +515,7 @@ class Factors:
         noise = even**2 * (moves**2).sum(axis=(0, 2))
         return np.asarray(np.maximum(found - noise, 0.0))
 
-    def site_variance(self, weight: float, likely: float) -> Floats:
+    def site_variance(self, weight: _Number, likely: _Number) -> Floats:
         """Return (3k,) variances of the forces themselves, those being drawn from N(0, Q^-1 /
         likely): with C the `covariance` at ``weight``, C + (weight^2/likely - weight) C Q C.
 
@@ -478,14 +523,14 @@ class Factors:
         more than C has. On the flat sensor C states 0.6 to 1.15 times a press's error, this 0.84
         to 2.5 times.
         """
-        if weight <= 0:
-            return np.asarray(self.modes.squares[0] @ self._filtered(0.0) ** 2)
+        squared_back, unseen = self.modes.squares
+        if _unweighted(weight):
+            return np.asarray(self._filtered(weight) ** 2 @ squared_back.T)
         each = 1.0 / (self.singular**2 + weight)
         excess = weight / likely - 1.0
-        squared_back, unseen = self.modes.squares
         variance = (1.0 + excess) * unseen / weight
         if not len(self.rows):  # back^T Q back is the unit matrix
-            return np.asarray(variance + squared_back @ (each + excess * weight * each**2))
+            return np.asarray(variance + (each + excess * weight * each**2) @ squared_back.T)
         response, more = self._more(weight)
         widened = more @ response
         smoothed = each[:, None] * self.modes.back.T
@@ -501,7 +546,7 @@ class Factors:
         rows = self.rows
         known = self.share * data if len(rows) else data
         count = int(np.count_nonzero(self.share))
-        pull = self.modes.left.T @ known
+        pull = known @ self.modes.left
         squared, energy = self.singular**2, pull**2
         if len(rows):
             some = self.modes.left[rows] * self.singular
@@ -509,9 +554,9 @@ class Factors:
             squared, turn = (found[..., -count:] for found in np.linalg.eigh(gram))
             squared = np.maximum(squared, ROUND_OFF * squared.max(initial=np.finfo(float).tiny))
             energy = (turn.T @ (self.singular * pull)) ** 2 / squared
-        rest = 0.0  # what lies outside is round-off where U is square
-        if count > len(squared):
-            rest = max(float(known @ data) - float(energy.sum()), 0.0)
+        rest = 0.0 * _total(energy)  # what lies outside is round-off where U is square
+        if count > squared.shape[-1]:
+            rest = np.maximum(_total(known * data) - _total(energy), 0.0)
         usual = None if len(rows) else self.modes.trials
         seen = Factors.Spectrum(squared=squared, energy=energy, rest=rest, count=count, usual=usual)
         self._last["seen"] = (data, seen)
@@ -522,22 +567,24 @@ class Factors:
         """The last data and their spectrum, which the weight and the noise both need."""
         return {}
 
-    def _filtered(self, weight: float) -> Floats:
+    def _filtered(self, weight: _Number) -> Floats:
         """Return (r,) factors S/(S^2 + weight); weight 0 is the pseudo-inverse, cut at round-off
         only."""
         singular = self.singular
-        if weight > 0:
+        if not _unweighted(weight):
             return np.asarray(singular / (singular**2 + weight))
         size = max(self.modes.left.shape[0], self.modes.back.shape[0])
-        cut = size * np.finfo(float).eps * singular.max(initial=0.0)
+        cut = size * np.finfo(float).eps * singular.max(axis=-1, initial=0.0, keepdims=True)
         inverse = np.divide(1.0, singular, out=np.zeros_like(singular), where=singular > cut)
         return np.asarray(inverse)
 
-    def _keep(self, weight: float) -> Floats:
+    def _keep(self, weight: _Number) -> Floats:
         squared = self.singular**2
-        return np.asarray(squared / (squared + weight) if weight > 0 else 1.0 * (squared > 0))
+        return np.asarray(
+            1.0 * (squared > 0) if _unweighted(weight) else squared / (squared + weight)
+        )
 
-    def _more(self, weight: float) -> tuple[Floats, Floats]:
+    def _more(self, weight: _Number) -> tuple[Floats, Floats]:
         """Return C H_s^T as (s, 3k) and the (s, s) matrix that widens the covariance C by what the
         data s lack."""
         rows, singular = self.rows, self.singular
@@ -546,6 +593,26 @@ class Factors:
         inner = np.eye(len(rows)) - ((some * self._keep(weight)) @ some.T) * lack
         more = lack[:, None] * np.linalg.inv(inner)
         return response, (more + more.T) / 2
+
+
+def _unweighted(weight: _Number) -> bool:
+    """Return whether a weight, or those of a stack, are the number 0."""
+    return isinstance(weight, float) and weight <= 0.0
+
+
+def _total(values: Floats) -> _Number:
+    """Return the sum along the last axis, (c, 1) of a stack."""
+    return _number(values.sum(axis=-1))
+
+
+def _number(value: Any) -> _Number:
+    """Return what was found along the last axis as a number, (c, 1) of a stack."""
+    return np.asarray(value)[:, None] if np.ndim(value) else float(value)
+
+
+def _vectors(values: Floats) -> Floats:
+    """Return (..., 3k) numbers as (..., k, 3)."""
+    return np.asarray(values.reshape(*values.shape[:-1], -1, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -636,6 +703,8 @@ class Problem:
     """One picture's data with the base they belong to; whitened means: in units of each marker's
     usual noise.
 
+    Of a stack of pictures (`together`) the axis of these comes first, in data, too.
+
     Attributes
     ----------
     calibration, used
@@ -681,33 +750,52 @@ class Problem:
             )
         known, noise, share = _weights(found, calibration, used, METHODS[method].weighted)
         base = _base(calibration, METHODS[method], known, noise)
+        modes = base.factors.modes
+        whole = modes.usual_share if share is None else np.repeat(share, 2)
         return cls(
             calibration=calibration,
             used=used,
             known=known,
             noise_px=noise,
             base=base,
-            factors=Factors(
-                modes=base.factors.modes, size=float(noise.mean()), share=np.repeat(share, 2)
-            ),
+            factors=Factors(modes=modes, size=float(noise.sum()) / len(noise), share=whole),
         )
 
-    @cached_property
-    def size_px(self) -> float:
-        """Mean noise, px."""
-        return float(self.noise_px.mean())
+    @classmethod
+    def together(cls, problems: Sequence[Problem]) -> Problem:
+        """Return the problems of several pictures as one of a stack; they must have the same
+        `stack`."""
+        factors = problems[0].factors
+        size = np.array([[problem.factors.size] for problem in problems])
+        noise = np.array([problem.noise_px for problem in problems])
+        return replace(problems[0], noise_px=noise, factors=replace(factors, size=size))
 
     @cached_property
-    def omega(self) -> float:
+    def stack(self) -> int | None:
+        """A number that is the same for pictures that can be solved together; None where markers
+        are lost or odd, which is this picture's own."""
+        return None if len(self.factors.rows) else id(self.base)
+
+    @cached_property
+    def size_px(self) -> _Number:
+        """Mean noise, px."""
+        size: _Number = _total(self.noise_px) / self.noise_px.shape[-1]
+        return size
+
+    @cached_property
+    def omega(self) -> _Number:
         """The papers' weight over the whitened one, px^2."""
-        return 2.0 * len(self.noise_px) / float((1.0 / self.noise_px**2).sum())
+        omega: _Number = 2.0 * self.noise_px.shape[-1] / _total(1.0 / self.noise_px**2)
+        return omega
 
     def whiten(self, shift_px: Floats) -> Floats:
-        """Return (m,) data of (n, 2) shifts of all markers; 0 for lost ones."""
+        """Return (m,) data of (n, 2) shifts of all markers; 0 for lost ones. Any number of these
+        comes before the pictures."""
         shift = shift_px
         if not self._all_used:
-            shift = np.where(self.used[:, None], shift_px, 0.0)[self.known]
-        return np.asarray((shift / self.noise_px[:, None]).ravel())
+            shift = np.where(self.used[:, None], shift_px, 0.0)[..., self.known, :]
+        data = shift / self.noise_px[..., None]
+        return np.asarray(data.reshape(*data.shape[:-2], -1))
 
     @cached_property
     def _all_used(self) -> bool:
@@ -729,7 +817,7 @@ class Problem:
             base.gram["local"] = _into_frames(base.transfer.T @ base.transfer, frames)
         # the quadratic's unit is px^2, not the noise
         least = LEAST * float(self.factors.singular.max() * self.size_px) ** 2
-        relative = max(weight * self.size_px**2, least)
+        relative = max(float(weight * self.size_px**2), least)
         quadratic = base.quadratics.get(relative)
         if quadratic is None:
             _make_room(base.quadratics, KEPT_WEIGHTS)
@@ -748,11 +836,12 @@ class Problem:
     def in_classes(noise: Floats) -> Floats:
         """Return (u,) noise per marker, px: the same for all where it hardly differs, else in
         classes."""
-        ranked = np.sort(noise)
-        low, usual, most = (_at_share(ranked, share) for share in (0.1, 0.5, 0.9))
-        least, high = ranked[0], ranked[-1]
-        even = most <= EVEN_NOISE * low and high <= 2 * EVEN_NOISE * low
-        if even or high <= EVEN_NOISE * least:
+        even = noise.max() <= EVEN_NOISE * noise.min()
+        if not even:
+            ranked = np.sort(noise)
+            low, usual, most = (_at_share(ranked, share) for share in (0.1, 0.5, 0.9))
+            even = most <= EVEN_NOISE * low and ranked[-1] <= 2 * EVEN_NOISE * low
+        if even:
             return np.full(len(noise), math.sqrt(noise @ noise / len(noise)))
         return np.asarray(usual * CLASS ** np.rint(np.log(noise / usual) / np.log(CLASS)))
 
@@ -776,9 +865,9 @@ def _into_frames(matrix: Floats, frames: Floats) -> Floats:
 
 def _weights(
     found: Found, calibration: Calibration, used: Bools, weighted: bool
-) -> tuple[Bools, Floats, Floats]:
+) -> tuple[Bools, Floats, Floats | None]:
     """Return (n,) markers to factorise with, (u,) their noise in px, and (u,) the share that each
-    has of its weight."""
+    has of its weight; None where all have all of it."""
     own = np.where(np.isfinite(found.sd_px) & (found.sd_px > 0), found.sd_px, calibration.noise_px)
     usual = found.usual_sd_px
     unknowns = calibration.transfer.shape[1]
@@ -792,8 +881,8 @@ def _weights(
             share = np.where(here, np.where(odd, (size / ratio) ** 2, 1.0), 0.0)
             count = int((share != 1.0).sum())
             if count <= MOST_UNUSUAL * len(noise) and 2 * (len(noise) - count) >= unknowns:
-                return known, noise * size, share
-    return used, Problem.in_classes(own[used]), np.ones(np.count_nonzero(used))
+                return known, noise * size, share if count else None
+    return used, Problem.in_classes(own[used]), None
 
 
 def _make_room(kept: dict[Any, Any], most: int) -> None:

@@ -328,19 +328,21 @@ class Neighbourhood:
     def bounded_squares(score: Floats) -> Floats:
         """Return (q,) the mean squares of the columns of ``score`` (n, q), where more than
         `OUTLYING` medians count as so many."""
-        score = np.abs(score)
-        return np.asarray((np.minimum(score, OUTLYING * medians(score)) ** 2).mean(axis=0))
+        score = np.sort(np.abs(score), axis=0)
+        count = len(score)
+        median = 0.5 * (score[(count - 1) // 2] + score[count // 2])
+        np.minimum(score, OUTLYING * median, out=score)
+        return np.asarray((score * score).sum(axis=0) / count)
 
-    def scatter(self, shift_px: Pixels, sd_px: Floats | float = 1.0) -> float | None:
+    def scatter(self, shift_px: Pixels, sd_px: Floats) -> float | None:
         """Return how far shifts (n, 2) are off the local affine motion of their neighbours, over
-        their deviations ``sd_px``, root mean square: an upper bound of their noise, as motion that
-        is less smooth counts, too. None where too few have neighbours."""
-        expected, certain = self.predict(shift_px)
-        score = ((shift_px - expected) / np.reshape(sd_px, (-1, 1)))[certain]
-        score = score[np.isfinite(score[:, 0])]
-        if len(score) < LEAST_SCORES:
-            return None
-        return math.sqrt(Neighbourhood.bounded_squares(score.reshape(-1, 1))[0])
+        their deviations ``sd_px`` (n,), root mean square (`bounded_squares`): an upper bound of
+        their noise, as motion that is less smooth counts, too. None where too few have
+        neighbours."""
+        squares = _scatter(
+            self.rest_px, self.near, self.fit_weight, self.spacing_px, shift_px, sd_px
+        )
+        return None if squares < 0.0 else math.sqrt(squares)
 
     def usual(self, measured: Floats, fine: Bools, rows: Ints) -> tuple[Floats, Floats]:
         """Return what ``measured`` (n, q) should be for markers ``rows`` by their ``fine``
@@ -799,3 +801,40 @@ def _local_affine(rest, near, fit_weight, size, motion, predicted, certain):
         predicted[n, 1] = (
             uy - ((syy * bx - sxy * by) * mx + (sxx * by - sxy * bx) * my) / determinant
         )
+
+
+@njit(cache=True)
+def _scatter(rest, near, fit_weight, size, motion, sd):
+    """Return the bounded mean square of the motions (n, 2) less `_local_affine`, over ``sd`` (n,);
+    -1 where fewer than `LEAST_SCORES` markers have one."""
+    predicted, certain = np.empty(motion.shape), np.empty(len(motion), np.bool_)
+    _local_affine(rest, near, fit_weight, size, motion, predicted, certain)
+    score, count = np.empty(2 * len(motion)), 0
+    for n in range(len(motion)):
+        if certain[n] and sd[n] > 0.0 and math.isfinite((motion[n, 0] - predicted[n, 0]) / sd[n]):
+            for axis in range(2):
+                score[count] = abs((motion[n, axis] - predicted[n, axis]) / sd[n])
+                count += 1
+    if count < 2 * LEAST_SCORES:
+        return -1.0
+    # the upper median is put in its place, smaller ones before it
+    middle, low, high = count // 2, 0, count - 1
+    while low < high:
+        pivot, i, j = score[middle], low, high
+        while i <= j:
+            while score[i] < pivot:
+                i += 1
+            while pivot < score[j]:
+                j -= 1
+            if i <= j:
+                score[i], score[j] = score[j], score[i]
+                i, j = i + 1, j - 1
+        low = i if j < middle else low
+        high = j if middle < i else high
+    below = 0.0
+    for k in range(middle):
+        below = max(below, score[k])
+    limit, squares = OUTLYING * 0.5 * (below + score[middle]), 0.0
+    for k in range(count):
+        squares += min(score[k], limit) ** 2
+    return squares / count

@@ -55,10 +55,10 @@ class PaperCentroid(CentreEstimator):
 
     def measure(self, picture: Picture, start_px: Pixels | None) -> Seen:
         known = self.around.rest_px
-        cell_px = self.around.spacing_px
-        shift = self._centroids(picture, self.look, known, cell_px) - known
+        shift = self._centroids(picture, self.look, known, self.around.spacing_px)
+        shift -= known
         state = np.full(len(known), MISSING, np.uint8)
-        scatter = self.around.scatter(shift)
+        scatter = self.around.scatter(shift, np.ones(len(known)))
         sd_px = _SD_PX if scatter is None else max(scatter, SD_FLOOR_PX)
         return Seen(shift_px=shift, sd_px=np.full(len(known), sd_px), state=state)
 
@@ -68,14 +68,14 @@ class PaperCentroid(CentreEstimator):
     ) -> Pixels:
         """Return the (n, 2) centroids of square cells of side ``cell_px`` around ``start_px``, px;
         NaN where a cell's brightest pixel stays below the contrast, a test that the paper lacks."""
-        out = np.full((len(start_px), 2), np.nan)
-        known = np.isfinite(start_px).all(axis=1)
-        colour = tuple(map(np.float32, (*look.weights, look.ground_dn)))
+        colour = np.array((*look.weights, look.ground_dn), np.float32)
         half = max(1, round(cell_px / 2))
         places = start_px.copy()
-        known &= _cell_centroids(picture, colour, half, look.contrast_dn, passes, known, places)
-        out[known] = places[known]
-        return out
+        known = np.isfinite(start_px[:, 0])
+        found = _cell_centroids(picture, colour, half, look.contrast_dn, passes, known, places)
+        if not found.all():
+            places[~found] = np.nan
+        return places
 
 
 SPARE_PX = 3
@@ -93,7 +93,7 @@ def _cell_centroids(image, colour, half, least, passes, known, place):
     exactly; of others errors are about 1e-6 px.
     """
     height, width = image.shape[0], image.shape[1]
-    red, green, blue, ground = colour
+    red, green, blue, ground = colour[0], colour[1], colour[2], colour[3]
     flat, found = image.reshape(-1), known.copy()
     zero, one, least = np.float32(0.0), np.float32(1.0), np.float32(least)
     sums = np.empty((3, min(2 * (half + SPARE_PX) + 1, width)), np.float32)

@@ -28,14 +28,14 @@ effect. Turns and zooms of the camera are not estimated.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
 from types import NoneType
-from typing import ClassVar
+from typing import Any, ClassVar, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.blas_threads import one_blas_thread
@@ -46,9 +46,14 @@ from twin.display import (
 from twin.errors import InputError, require
 from twin.parts.methods import Method, WeightRule
 from twin.sense.calibration import Calibration
-from twin.sense.inverse import METHODS, RULES, Factors, Problem
+from twin.sense.inverse import METHODS, RULES, Factors, InverseMethod, Problem
 from twin.sense.track import Found
 from twin.theory.relaxation import Hereditary, Relaxation
+
+_LEVERS = np.array([[0, 0, 0, 0, 1, 1], [0, 0, 0, 1, 0, 1], [0, 0, 0, 1, 1, 0]])
+_DIRECT = np.array([1, 1, 1, 0, 0, 0])
+"""What squared coordinates add to the squared lever arms of totals, and squares of these without:
+a force counts as itself, in torques by its distance from the axis."""
 
 MOST_EVEN = 2.0
 """Noise of the fit over the stated one, up to which it is taken for noise that all markers share.
@@ -166,9 +171,19 @@ class Field(ForceTable):
         return ONE_LAYER
 
 
+@overload
+def reconstruct(found: Found, calibration: Calibration, *args: Any, **options: Any) -> Field: ...
+
+
+@overload
+def reconstruct(
+    found: list[Found] | tuple[Found, ...], calibration: Calibration, *args: Any, **options: Any
+) -> list[Field]: ...
+
+
 @one_blas_thread()
 def reconstruct(
-    found: Found,
+    found: Found | list[Found] | tuple[Found, ...],
     calibration: Calibration,
     method: Method = "smooth",
     weight: float | WeightRule = "auto",
@@ -180,13 +195,15 @@ def reconstruct(
     previous: Field | None = None,
     history: Hereditary | None = None,
     after_s: float = 0.0,
-) -> Field:
+) -> Field | list[Field]:
     """Reconstruct the forces that moved the markers.
 
     Parameters
     ----------
     found
-        Marker motion, in the calibration's marker order; lost markers are left out.
+        Marker motion, in the calibration's marker order; lost markers are left out. Of a list, as
+        of several fingers that one calibration serves, the fields are a list, too: those without
+        bounds, robust solve, bend and ``local`` are found together, in a third of the time.
     calibration
         Sites and transfer matrix.
     method
@@ -253,92 +270,180 @@ def reconstruct(
     >>> bool(0.8 < field.total_force_n[2] < 1.2)  # N; the press is 0.98 N
     True
     """
-    require(found, Found, "the motion", "make it with twin.track")
+    several = isinstance(found, list | tuple)
+    pictures: list[Found] = [*found] if isinstance(found, list | tuple) else [found]
+    for one in pictures:
+        require(one, Found, "the motion", "make it with twin.track")
     require(calibration, Calibration, "the calibration", "read one with twin.read_calibration")
     check_options(method, weight, push_only, friction, camera, calibration)
     new = "make one for a sequence by twin.theory.relaxation.Hereditary(calibration.relaxation)"
     require(history, (Hereditary, NoneType), "history", new)
     alone = history is None and calibration.relaxation is not None
+    if several and (previous is not None or history is not None):
+        raise InputError("previous and history are of one picture, not of a list: give them one")
     if not (isinstance(after_s, Real) and 0.0 <= after_s < np.inf) or (after_s and alone):
         raise InputError(
             f"after_s = {after_s!r}: allowed are finite numbers from 0, s, with a history: {new}"
         )
-    problem = Problem.of(found, calibration, method)
-    whole = problem.whiten(found.shift_px)
-    if METHODS[method].local:
-        linear, sd_force, moved = _solved_locally(problem, whole, weight, robust, camera)
+    problems = [Problem.of(one, calibration, method) for one in pictures]
+    options = _Options(
+        method=METHODS[method],
+        weight=weight if METHODS[method].weighted else 0.0,
+        push_only=push_only,
+        friction=friction,
+        robust=robust,
+        camera=camera,
+        start=None if previous is None else previous.force_n,
+    )
+    stacks: dict[int, list[int]] = {}
+    stackable = options.stackable(calibration)
+    for number, problem in enumerate(problems):
+        stack = problem.stack if stackable else None
+        stacks.setdefault(-number if stack is None else stack, []).append(number)
+    fields: dict[int, Field] = {}
+    for numbers in stacks.values():
+        of_stack = [problems[number] for number in numbers]
+        whole = of_stack[0] if len(numbers) == 1 else Problem.together(of_stack)
+        for number, known in zip(
+            numbers,
+            _solutions([pictures[number] for number in numbers], whole, options),
+            strict=True,
+        ):
+            field = Field(
+                site_mm=calibration.site_mm,
+                used=problems[number].used.copy(),
+                method=method,
+                **known,
+            )
+            if history is not None:
+                field = _relaxed(field, history, after_s)
+            elif calibration.relaxation is not None:
+                field = _at_unknown_time(field, calibration.relaxation)
+            fields[number] = field
+    ordered = [fields[number] for number in range(len(pictures))]
+    return ordered if several else ordered[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Options:
+    """How `reconstruct` is to solve; ``start`` (k, 3) is a first guess under bounds, N."""
+
+    method: InverseMethod
+    weight: float | WeightRule
+    push_only: bool
+    friction: float | None
+    robust: bool
+    camera: bool
+    start: Floats | None
+
+    @property
+    def bounded(self) -> bool:
+        """Whether forces are held to pushes or to friction cones."""
+        return self.push_only or self.friction is not None
+
+    def stackable(self, calibration: Calibration) -> bool:
+        """Return whether pictures are solved by products alone, which serve many at once."""
+        turns = self.method.local or self.bounded or self.robust or self.camera
+        return not turns and (len(calibration.layers) > 1 or not self.method.weighted)
+
+
+def _solutions(found: list[Found], problem: Problem, options: _Options) -> list[dict[str, Any]]:
+    """Return what pictures tell of the fields of `Field`. The problem is that of one picture, or of
+    a stack; then all numbers and arrays have the pictures' axis first."""
+    calibration, local = problem.calibration, options.method.local
+    one = len(found) == 1
+    shift = found[0].shift_px if one else np.array([each.shift_px for each in found])
+    whole = problem.whiten(shift)
+    if local:
+        linear, sd_force, moved = _solved_locally(problem, whole, options)
     else:
-        given = weight if METHODS[method].weighted else 0.0
-        linear = _solved(problem, whole, given, robust, camera)
+        linear = _solved(problem, whole, options)
         sd_force, moved = linear.sd_force_n, np.zeros(3)
     problem, force = linear.problem, linear.force_n
     rows = calibration.total_rows
-    totals = rows @ force.ravel()
-    even = min(linear.scale, MOST_EVEN) if isinstance(weight, str) else linear.scale
-    sd_total = _sd_of_totals(found, linear, even, moved, local=METHODS[method].local)
-    if len(calibration.layers) == 1 and METHODS[method].weighted:
-        unseen = _of_one_way(problem, linear, local=METHODS[method].local) - force
-        if METHODS[method].local:  # sideways these see how much they carry
+    totals = linear.flat_n @ rows.T
+    even = linear.scale
+    if isinstance(options.weight, str):
+        even = np.minimum(even, MOST_EVEN)
+    sd_total = _sd_of_totals(found, linear, totals, even, moved, local=local)
+    if len(calibration.layers) == 1 and options.method.weighted:
+        unseen = _of_one_way(problem, linear, local=local) - force
+        if local:  # sideways these see how much they carry
             inward = calibration.site_frames[:, 2]
             unseen = (unseen * inward).sum(axis=1, keepdims=True) * inward
         else:
             sd_force = np.hypot(sd_force, unseen)
         sd_total = np.hypot(sd_total, rows @ unseen.ravel())
     kkt = 0.0
-    if push_only or friction is not None:
-        at = linear.weight
-        if isinstance(weight, str):
+    if options.bounded:
+        at = float(linear.weight)
+        if isinstance(options.weight, str):
             at = float(10.0 ** (DECADE * np.round(np.log10(at) / DECADE)))
-        start = None if previous is None else previous.force_n
-        force, kkt = _held(linear, at, friction, camera, start)
-        believed = linear.belief_in(force, camera)
+        force, kkt = _held(linear, at, options)
+        believed = linear.belief_in(force, options.camera)
         sd_total = np.hypot(sd_total, believed * (rows @ force.ravel() - totals))
-    everywhere = np.zeros(len(problem.used), np.bool_)
-    everywhere[problem.known] = linear.wrong
-    field = Field(
-        site_mm=calibration.site_mm,
-        force_n=force,
-        total_force_n=totals[:3],
-        total_torque_nmm=totals[3:],
-        weight=problem.omega * linear.weight,
-        noise_px=linear.scale * (problem.omega / 2) ** 0.5,
-        sd_force_n=sd_force,
-        sd_total_n=sd_total[:3],
-        sd_torque_nmm=sd_total[3:],
-        used=problem.used.copy(),
-        wrong=everywhere,
-        method=method,
-        kkt=kkt,
-    )
-    if calibration.relaxation is None:
-        return field
-    if history is None:
-        return _at_unknown_time(field, calibration.relaxation)
-    return _relaxed(field, history, after_s)
+    wrong = np.zeros((*shift.shape[:-2], len(problem.known)), np.bool_)
+    wrong[..., problem.known] = linear.wrong
+    weight, noise_px = problem.omega * linear.weight, linear.scale * (problem.omega / 2) ** 0.5
+
+    def by_picture(values: Floats) -> list[Floats]:
+        return [values] if one else list(values)
+
+    return [
+        {
+            "force_n": force,
+            "total_force_n": totals[:3],
+            "total_torque_nmm": totals[3:],
+            "weight": float(weight),
+            "noise_px": float(noise_px),
+            "sd_force_n": sd_force,
+            "sd_total_n": sd_total[:3],
+            "sd_torque_nmm": sd_total[3:],
+            "wrong": wrong,
+            "kkt": kkt,
+        }
+        for force, totals, sd_force, sd_total, wrong, weight, noise_px in zip(
+            *map(by_picture, (force, totals, sd_force, sd_total, wrong)),
+            np.ravel(weight),
+            np.ravel(noise_px),
+            strict=True,
+        )
+    ]
 
 
 def _sd_of_totals(
-    found: Found, linear: _Linear, even: float, moved: Floats, *, local: bool
+    found: list[Found],
+    linear: _Linear,
+    totals: Floats,
+    even: float | Floats,
+    moved: Floats,
+    *,
+    local: bool,
 ) -> Floats:
-    """Return the (6,) standard deviations of a linear solution's totals, N and N mm, by all that
-    `Field.sd_total_n` lists but bounds. ``even`` is the size of the noise that all markers share;
-    ``moved`` (3,) how far the last turn of ``local`` moved the total force, N."""
+    """Return the (6,) standard deviations of a linear solution's ``totals``, N and N mm, by all
+    that `Field.sd_total_n` lists but bounds. ``even`` is the size of the noise that all markers
+    share; ``moved`` (3,) how far the last turn of ``local`` moved the total force, N."""
     problem, weight = linear.problem, linear.weight
     calibration, factors = problem.calibration, problem.factors
     rows = calibration.total_rows
-    variance = even**2 * factors.covariance(weight, rows).diagonal()
-    if local or even < linear.scale:
-        variance = variance + factors.misfit_variance(linear.data, weight, rows, even)
-    variance[:3] += moved**2
+    variance = even**2 * factors.variance(weight, rows)
+    if local:
+        variance[:3] += moved**2
+    worse = local | np.asarray(even < linear.scale)
+    if worse.any():
+        misfit = factors.misfit_variance(linear.data, weight, rows, even)
+        variance += np.where(worse, misfit, 0.0)
     # torques about x and y are mostly made by forces along z
     x, y, z = calibration.read_error**2
-    factor = calibration.scale_error**2 + found.gain_error**2
+    gain = np.array([one.gain_error for one in found])
+    factor = calibration.scale_error**2 + (gain[:, None] if len(found) > 1 else gain) ** 2
     share = factor + np.array([x, y, z, z, z, x])
-    variance += share * (rows @ linear.force_n.ravel()) ** 2
+    variance += share * totals**2
     variance += linear.totals_left_open
-    if np.any(found.drift_px):
-        drift = problem.whiten(found.drift_px + np.zeros(found.shift_px.shape))
-        variance += factors.sums(rows, drift[None], weight)[0] ** 2
+    if any(np.any(one.drift_px) for one in found):
+        drift = np.array([one.drift_px + np.zeros(one.shift_px.shape) for one in found])
+        seen = problem.whiten(drift if len(found) > 1 else drift[0])
+        variance += factors.sums(rows, seen, weight) ** 2
     return np.asarray(np.sqrt(variance))
 
 
@@ -421,19 +526,17 @@ def check_options(
         )
 
 
-def _held(
-    linear: _Linear, weight: float, friction: float | None, camera: bool, start: Floats | None
-) -> tuple[Floats, float]:
+def _held(linear: _Linear, weight: float, options: _Options) -> tuple[Floats, float]:
     """Return the (k, 3) forces held to pushes or friction cones, and how far from optimal they
     are."""
-    problem, bend = linear.problem, linear.bend
+    problem, bend, start = linear.problem, linear.bend, options.start
     data = problem.factors.filled(linear.data, weight)
     for _ in range(MOST):
-        force, kkt = problem.constrained(data, weight, friction, start)
-        if not camera and not len(problem.factors.rows):
+        force, kkt = problem.constrained(data, weight, options.friction, start)
+        if not options.camera and not len(problem.factors.rows):
             break
         start, before = force, data
-        bend = _bend_of(problem, force) if camera else bend
+        bend = _bend_of(problem, force) if options.camera else bend
         seen = problem.shifts_of(force)
         data = problem.factors.towards(linear.whole - linear.off - bend, seen)
         if np.abs(data - before).max() < SETTLED:
@@ -501,8 +604,8 @@ class _Linear:
     off: Floats
     bend: Floats
     data: Floats
-    weight: float
-    likely: float
+    weight: float | Floats
+    likely: float | Floats
     wrong: Bools
 
     @cached_property
@@ -511,7 +614,12 @@ class _Linear:
         return self.problem.factors.forces(self.data, self.weight)
 
     @cached_property
-    def scale(self) -> float:
+    def flat_n(self) -> Floats:
+        """(3k,) forces, N."""
+        return self.force_n.reshape(*self.data.shape[:-1], -1)
+
+    @cached_property
+    def scale(self) -> float | Floats:
         """Noise as the fit has it, over the stated one."""
         return self.problem.factors.noise_scale(self.data, self.weight)
 
@@ -529,7 +637,7 @@ class _Linear:
         fitted = len(self.whole) * (1.0 - factors.freedom(self.weight))
         expected = BY_BOUNDS * fitted * self.scale**2
         more = worse - usual
-        return 1.0 if more <= expected else expected / more
+        return 1.0 if more <= expected else float(expected / more)
 
     @property
     def totals_left_open(self) -> Floats:
@@ -537,47 +645,45 @@ class _Linear:
         `Calibration.by_depth`, `Calibration.by_camera`, `Calibration.by_load_cell` and
         `Calibration.mesh_error`."""
         problem, known = self.problem, self.problem.calibration
-        force = self.force_n
-        single = force.ravel().astype(np.float32)
-        lacking: list[Floats] = []
+        force, lead = self.force_n, self.data.shape[:-1]
+        single = self.flat_n.astype(np.float32)
+        lacking: list[NDArray[np.floating[Any]]] = []
         if known.by_thickness.size:
-            lacking.append((known.by_thickness @ single).reshape(-1, 2).astype(np.float64))
+            lacking.append((single @ known.by_thickness.T).reshape(*lead, -1, 2))
         if known.by_depth.size:
-            deeper = (known.by_depth @ single).reshape(-1, 2).astype(np.float64)
-            for name in known.layers:
-                lacking.append(np.where((known.layer == name)[:, None], deeper, 0.0))
+            deeper = (single @ known.by_depth.T).reshape(*lead, -1, 2)
+            lacking.extend(deeper * own for own in known.of_layers)
         if len(known.by_camera):
-            motion = (known.compliance @ single).reshape(-1, 3, 1)
-            lacking.extend((known.by_camera @ motion)[..., 0])
-        variance = np.zeros(len(known.total_rows))
+            motion = (single @ known.compliance.T).reshape(*lead, -1, 3, 1)
+            lacking.extend((one @ motion)[..., 0] for one in known.by_camera)
+        variance: Floats | float = 0.0
         if lacking:
-            data = np.stack([problem.whiten(shift) for shift in lacking])
+            data = problem.whiten(np.array(lacking, np.float64))
             taken = problem.factors.sums(known.total_rows, data, self.weight)
             variance = (taken**2).sum(axis=0)
-        axis = known.mesh_error * math.hypot(*force.sum(axis=0))
+        squared = known.mesh_error**2 * (force.sum(axis=-2) ** 2).sum(axis=-1, keepdims=True)
         if known.by_load_cell.size:
-            lacking_n = known.by_load_cell @ single
-            axis = math.hypot(axis, np.sqrt(lacking_n @ lacking_n))
-        share = np.sqrt((force**2).sum(axis=1))
-        x, y, z = share @ known.site_mm / max(float(share.sum()), np.finfo(float).tiny)
-        levers = np.array([1.0, 1.0, 1.0, math.hypot(y, z), math.hypot(z, x), math.hypot(x, y)])
-        return variance + (axis * levers) ** 2
+            lacking_n = single @ known.by_load_cell.T
+            squared = squared + (lacking_n**2).sum(axis=-1, keepdims=True)
+        share = np.sqrt((force**2).sum(axis=-1))
+        whole = np.maximum(share.sum(axis=-1, keepdims=True), np.finfo(float).tiny)
+        middle = share @ known.site_mm / whole
+        return np.asarray(variance + squared * (middle**2 @ _LEVERS + _DIRECT))
 
     @property
     def sd_force_n(self) -> Floats:
         """(k, 3) standard deviations given the prior at the likely weight, N."""
         variance = self.problem.factors.site_variance(self.weight, self.likely)
-        return np.asarray(self.scale * np.sqrt(variance).reshape(-1, 3))
+        return np.asarray(self.scale * np.sqrt(variance)).reshape(self.force_n.shape)
 
 
-def _solved(
-    problem: Problem, whole: Floats, weight: float | WeightRule, robust: bool, camera: bool
-) -> _Linear:
+def _solved(problem: Problem, whole: Floats, options: _Options) -> _Linear:
     """Solve without bounds, for a weight in px^2/N^2 or by a rule."""
-    factors = problem.factors
-    off, bend = np.zeros_like(whole), np.zeros_like(whole)
-    wrong: Bools = np.zeros(len(whole) // 2, np.bool_)
-    whitened = likely = 0.0 if isinstance(weight, str) else float(weight) / problem.omega
+    factors, weight = problem.factors, options.weight
+    robust, camera = options.robust, options.camera
+    off = bend = np.zeros_like(whole)
+    wrong: Bools = np.zeros((*whole.shape[:-1], whole.shape[-1] // 2), np.bool_)
+    whitened = likely = 0.0 if isinstance(weight, str) else _over(float(weight), problem.omega)
     data = whole
     for count in range(MOST):
         before = off + bend
@@ -604,6 +710,11 @@ def _solved(
         likely=likely,
         wrong=wrong,
     )
+
+
+def _over(weight: float, omega: float | Floats) -> float | Floats:
+    """Return a weight in px^2/N^2 as a whitened one; 0 is that of any picture."""
+    return weight / omega if weight else 0.0
 
 
 def _bend_of(problem: Problem, force: Floats) -> Floats:
@@ -728,18 +839,19 @@ def _with_model_error(problem: Problem, whole: Floats, force_n: Floats) -> tuple
 
 
 def _solved_locally(
-    problem: Problem, whole: Floats, weight: float | WeightRule, robust: bool, camera: bool
+    problem: Problem, whole: Floats, options: _Options
 ) -> tuple[_Linear, Floats, Floats]:
     """Solve with forces expected where the smooth solution, then the local one, has some. Returns
     the solution; (k, 3) deviations, N; (3,) by how much the last turn moved its total, N."""
-    found = smooth = _solved(problem, whole, "auto", robust, camera)
-    rule = "likelihood" if weight == "auto" else weight
+    found = smooth = _solved(problem, whole, replace(options, weight="auto"))
+    if options.weight == "auto":
+        options = replace(options, weight="likelihood")
     for _ in range(TURNS):
         if not found.force_n.any():
             return smooth, smooth.sd_force_n, np.zeros(3)
         before = found.force_n
         part, data = _with_model_error(problem, whole, before)
-        found = _solved(_localised(part, before), data, rule, robust, camera)
+        found = _solved(_localised(part, before), data, options)
     moved = (found.force_n - before).sum(axis=0)
     carries = found.problem.factors.modes.back.any(axis=1).reshape(-1, 3)
     sd_force = np.hypot(found.sd_force_n, _sd_by_place(found))
@@ -802,12 +914,12 @@ class Bump:
         )
         usual = np.median(found.shift_px[problem.used], axis=0)
         weight = factors.weight("auto", data - shared @ usual)
-        left = shared - factors.predicted(shared, weight)
+        left = shared - factors.predicted(shared.T, weight).T
         weighed = factors.share[:, None] * left
         normal = weighed.T @ shared
         estimate = np.asarray(np.linalg.solve(normal, weighed.T @ data), np.float64)
         scale = factors.noise_scale(data - shared @ estimate, weight)
-        sd = scale * float(np.sqrt(np.linalg.inv(normal).diagonal().max()))
+        sd = float(scale) * float(np.sqrt(np.linalg.inv(normal).diagonal().max()))
         return cls(shift_px=estimate, sd_px=sd)
 
     @property

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import permutations
 from numbers import Real
 
@@ -98,6 +99,19 @@ class Rest:
     def share_found(self) -> float:
         """Share of the markers that are found."""
         return float(np.isfinite(self.rest_px[:, 0]).mean())
+
+    @cached_property
+    def gain_error(self) -> float:
+        """The largest of the groups' (`CentreEstimator.gain_error`)."""
+        return max(group.gain_error for group in self.groups)
+
+    @cached_property
+    def drift_px(self) -> Floats:
+        """(N, 2) motion that the rest picture shows against itself, px."""
+        drift = np.zeros(self.rest_px.shape)
+        for group in self.groups:
+            drift[group.look.rows] = group.drift_px
+        return frozen(drift)
 
     @property
     def ground_px(self) -> tuple[float, float]:

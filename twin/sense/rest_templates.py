@@ -478,17 +478,6 @@ def _evenly_lit(ground: Floats) -> Floats:
     return np.pad(ground[:, None], ((0, 0), (0, 3)))
 
 
-def light_at_rest(templates: Templates, around: Neighbourhood) -> tuple[bool, Floats, Floats]:
-    """Return whether markers are brighter than the ground, the (n,) brightness at rest of what is,
-    and the (n, 2) slopes of its logarithm, 1/px."""
-    ground = templates.rest[:, GROUND] + templates.own[3]
-    whole = ground + templates.rest[:, LEVEL]
-    shows = bool(medians(np.abs(whole)) > medians(np.abs(ground)))
-    bright = whole if shows else ground
-    logarithm = np.log(np.fmax(np.abs(bright), 1.0))
-    return shows, bright, around.slopes(logarithm, templates.rest[:, CENTRE])[0]
-
-
 def in_other_light(
     picture: Picture,
     templates: Templates,
@@ -502,7 +491,9 @@ def in_other_light(
     Light multiplies what it falls on: the logarithm of the change of the ground, or of the markers
     where these are brighter, is a plane over a marker and its neighbours. Its slope, times the
     ground's and the marker's brightness, is theirs. What lies off the planes is what the slope is
-    not known to. ``fitted`` (n, `COLUMNS`) are the fits without; ``at_rest`` is `light_at_rest`.
+    not known to. ``fitted`` (n, `COLUMNS`) are the fits without; ``at_rest``
+    are whether markers are brighter than the ground, the (n,) brightness at rest of what is, and
+    the (n, 2) slopes of its logarithm, 1/px.
     """
     near = around.near
     place, level = fitted[:, CENTRE], fitted[:, LEVEL]

@@ -56,7 +56,7 @@ STEPPED, DIAGONAL = 0.8, 1.6
 """Share of the markers lost since the last picture that a step of the lattice, shorter than so many
 spacings, must explain: then the whole picture is searched."""
 
-__all__ = ["STATES", "Found", "Tracker", "analyse_rest", "track", "track_frame"]
+__all__ = ["STATES", "Found", "Tracker", "analyse_rest", "track"]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -119,6 +119,11 @@ class Found(Table):
     def seen(self) -> Bools:
         """(N,) which markers have a shift."""
         return np.asarray(np.isfinite(self.shift_px).all(axis=1))
+
+    @cached_property
+    def all_seen(self) -> bool:
+        """Whether every marker has a shift."""
+        return bool(self.seen.all())
 
     def _rows(self) -> dict[str, str]:
         rows = {"markers": f"{int(self.seen.sum())} of {len(self.seen)} seen"}
@@ -318,19 +323,21 @@ class Tracker:
                 self._rests[own] = replace(self.rest, film=film)
                 before[:] = picture
             self._left_to_compare -= 1
-        found = track_frame(self.rest, image, self._last_px)
+        found = self.motion(self.rest, image, self._last_px)
         if self._may_have_jumped(found):
-            found = track_frame(self.rest, image, self._last_px, whole=True)
+            found = self.motion(self.rest, image, self._last_px, whole=True)
         self._seen = found.seen
-        self._last_px = found.shift_px if found.seen.all() else self._starts(found)
+        self._last_px = found.shift_px if found.all_seen else self._starts(found)
         return found
 
     def _may_have_jumped(self, found: Found) -> bool:
         """Return whether the markers that are lost since the last picture are those that find none
         where all have moved by steps of their lattice: the border's, and those next to lost ones.
         """
+        if self._last_px is None or found.all_seen:
+            return False
         gone = self._seen & ~found.seen
-        if self._last_px is None or np.count_nonzero(gone) < 2:
+        if np.count_nonzero(gone) < 2:
             return False
         for group in self.rest.groups:
             rows, around = group.look.rows, group.around
@@ -369,64 +376,67 @@ class Tracker:
         without a border in sight start from rest."""
         self._last_px = self._first_px
 
+    @staticmethod
+    def motion(
+        rest: Rest, image: Picture, start_px: Pixels | None = None, *, whole: bool = False
+    ) -> Found:
+        """Measure the motion of every marker between the analysed rest picture and ``image``.
 
-def track_frame(
-    rest: Rest, image: Picture, start_px: Pixels | None = None, *, whole: bool = False
-) -> Found:
-    """Measure the motion of every marker between the analysed rest picture and ``image``.
+        Parameters
+        ----------
+        start_px
+            (N, 2) shifts of the previous picture of a sequence, px, NaN where unknown; None starts
+            cold.
+        whole
+            Search the whole picture, too, for a jump by a step of the markers' lattice.
 
-    Parameters
-    ----------
-    start_px
-        (N, 2) shifts of the previous picture of a sequence, px, NaN where unknown; None starts
-        cold.
-    whole
-        Search the whole picture, too, for a jump by a step of the markers' lattice.
-
-    Raises
-    ------
-    InputError
-        The picture isn't one that the rest picture's camera mode gives.
-    """
-    picture = as_picture(image, "the picture")
-    if picture.shape[:2] != rest.size_px:
-        raise InputError(
-            f"the picture is {picture.shape[1]}x{picture.shape[0]} px, the rest picture "
-            f"{rest.size_px[1]}x{rest.size_px[0]} px: both must come from the same camera mode, "
-            "turned the same way"
-        )
-    if start_px is not None and np.shape(start_px) != rest.rest_px.shape:
-        raise InputError(
-            f"start_px must be {rest.rest_px.shape} px, one row a marker, got {np.shape(start_px)}"
-        )
-    picture = rest.flaws.mended(picture)
-    if rest.flaws.ground is None:
-        # light that flickers may show on markers alone
-        found, light = _measured(rest, picture, start_px, whole)
-        now_px = rest.rest_px + found.shift_px
-        even = Flaws.as_rows_at_rest(picture, light, now_px, rest.layer)
-        if even is None:
-            return found  # nearly always
-        again, _ = _measured(rest, even, found.shift_px)
-        return replace(again, spurious_px=found.spurious_px)
-    # A light that flickers has dark and bright rows in every picture, which show on the ground.
-    shift_px = np.zeros_like(rest.rest_px) if start_px is None else start_px
-    for _ in range(2):
-        even = rest.flaws.without_bands(picture, rest.rest_px + shift_px, *rest.ground_px)
-        found, _ = _measured(rest, even, start_px, whole)
-        if not found.seen.any():
-            break
-        shift_px = found.shift_px
-    return found
+        Raises
+        ------
+        InputError
+            The picture isn't one that the rest picture's camera mode gives.
+        """
+        picture = as_picture(image, "the picture")
+        if picture.shape[:2] != rest.size_px:
+            raise InputError(
+                f"the picture is {picture.shape[1]}x{picture.shape[0]} px, the rest picture "
+                f"{rest.size_px[1]}x{rest.size_px[0]} px: both must come from the same camera "
+                "mode, turned the same way"
+            )
+        if start_px is not None and np.shape(start_px) != rest.rest_px.shape:
+            raise InputError(
+                f"start_px must be {rest.rest_px.shape} px, one row a marker, got "
+                f"{np.shape(start_px)}"
+            )
+        picture = rest.flaws.mended(picture)
+        if rest.flaws.ground is None:
+            # light that flickers may show on markers alone
+            found, light = _measured(rest, picture, start_px, whole)
+            even = None
+            if light is not None:
+                now_px = rest.rest_px + found.shift_px
+                even = Flaws.as_rows_at_rest(picture, light, now_px, rest.layer)
+            if even is None:
+                return found  # nearly always
+            again, _ = _measured(rest, even, found.shift_px)
+            return replace(again, spurious_px=found.spurious_px)
+        # A light that flickers has dark and bright rows in every picture, which show on the ground.
+        shift_px = np.zeros_like(rest.rest_px) if start_px is None else start_px
+        for _ in range(2):
+            even = rest.flaws.without_bands(picture, rest.rest_px + shift_px, *rest.ground_px)
+            found, _ = _measured(rest, even, start_px, whole)
+            if not found.seen.any():
+                break
+            shift_px = found.shift_px
+        return found
 
 
 def _measured(
     rest: Rest, picture: Picture, start_px: Pixels | None, whole: bool = False
-) -> tuple[Found, Floats]:
-    """Measure the motion as `track_frame` does, in a ``picture`` less the camera's flaws, and
+) -> tuple[Found, Floats | None]:
+    """Measure the motion as `Tracker.motion` does, in a ``picture`` less the camera's flaws, and
     (N,) what the light has changed by, see `Seen`."""
-    shift, drift = np.full(rest.rest_px.shape, np.nan), np.zeros(rest.rest_px.shape)
-    sd, light = np.full((2, len(rest.rest_px)), np.nan)
+    shift = np.full(rest.rest_px.shape, np.nan)
+    sd, light = np.full(len(shift), np.nan), None
     state = np.full(len(rest.rest_px), MISSING, np.uint8)
     usual = rest.usual_sd_px.copy()
     spurious: list[Pixels] | None = []
@@ -440,8 +450,9 @@ def _measured(
         if rest.film:  # that edges look alike proves nothing where a codec repeats them
             film = REPEATING / min(seen.coherence, 1.0)
         shift[rows], sd[rows], state[rows] = seen.shift_px, film * seen.sd_px, seen.state
-        light[rows] = seen.light
-        drift[rows] = group.drift_px
+        if seen.light is not None:
+            light = np.full(len(shift), np.nan) if light is None else light
+            light[rows] = seen.light
         usual[rows] *= film * seen.coherence
         spurious = (
             None if spurious is None or seen.spurious_px is None else [*spurious, seen.spurious_px]
@@ -462,7 +473,7 @@ def _measured(
         return _measured(rest, picture, shift[~lost][near])
     sd[lost] = np.nan
     state[~lost & (state != STRAINED) & (state != PARTLY_HIDDEN)] = SEEN
-    for array in (shift, sd, state, usual, drift):
+    for array in (shift, sd, state, usual):
         frozen(array)
     found = Found(
         rest_px=rest.rest_px,
@@ -474,7 +485,7 @@ def _measured(
         state=state,
         spurious_px=None if spurious is None else frozen(np.concatenate(spurious)),
         usual_sd_px=usual,
-        gain_error=max(group.gain_error for group in rest.groups),
-        drift_px=drift,
+        gain_error=rest.gain_error,
+        drift_px=rest.drift_px,
     )
     return found, light

@@ -418,7 +418,7 @@ def _calibrate_by_presses(sensor: Sensor) -> Calibration:
 
 def _press_everywhere(sensor: Sensor, places: Rectangles) -> Presses:
     """Press the made sensor in three directions at every place; return what was measured."""
-    from twin.sense.track import analyse_rest, track_frame
+    from twin.sense.track import Tracker, analyse_rest
 
     scene = sensor.nominal
     count = len(places)
@@ -435,7 +435,7 @@ def _press_everywhere(sensor: Sensor, places: Rectangles) -> Presses:
         noise = scene.calibration.load_cell_n * rng.standard_normal((3, 3))
         for number, state in enumerate(pressed.path):
             exposure = FIRST_EXPOSURE + 1 + 3 * place + number
-            found.append(track_frame(rest, sensor.picture(sensor.motion(state.load), exposure)))
+            found.append(Tracker.motion(rest, sensor.picture(sensor.motion(state.load), exposure)))
             forces.append(state.force_n + noise[:, number])
         if sensor.progress is not None:
             sensor.progress(f"calibrating, press {place + 1} of {count}", 0.9 * (place + 1) / count)

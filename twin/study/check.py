@@ -303,7 +303,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
     from twin.sense.centre import COHERENT
     from twin.sense.colour import as_picture
     from twin.sense.disc_fit import DiscFit
-    from twin.sense.track import analyse_rest, track_frame
+    from twin.sense.track import Tracker, analyse_rest
     from twin.study.frames import read_picture
     from twin.study.sensor import SATURATED, Sensor
 
@@ -315,7 +315,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[Fact]:
         raise InputError(f"{second}: is the same picture as {first}: expose the sensor twice")
     try:
         rest = analyse_rest(one, sensor.layout_px)
-        found = track_frame(rest, two, np.zeros_like(rest.rest_px))
+        found = Tracker.motion(rest, two, np.zeros_like(rest.rest_px))
     except InputError as problem:
         raise InputError(f"{first}, {second}: {problem}") from None
     seen = found.seen

@@ -244,9 +244,9 @@ class Rig:
 
     def track(self, picture: Picture, method: CentreMethod | None = None) -> Found:
         """Track the markers from rest to a picture, by default with the paper's tracker."""
-        from twin.sense.track import track_frame
+        from twin.sense.track import Tracker
 
-        return track_frame(self.rest(method), picture)
+        return Tracker.motion(self.rest(method), picture)
 
     @cached_property
     def calibration(self) -> Calibration:

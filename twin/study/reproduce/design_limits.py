@@ -22,7 +22,7 @@ from twin.parts.load import Traction
 from twin.parts.press import Press
 from twin.parts.sweep import GF
 from twin.sense.reconstruct import Field, reconstruct
-from twin.sense.track import track_frame
+from twin.sense.track import Tracker
 from twin.show.reproduction_page import Panel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import (
@@ -399,7 +399,7 @@ def _frame_seconds(
     for number in range(len(seconds)):
         started = time.process_time()
         for picture in pictures:
-            found = track_frame(rest, picture, before_px)
+            found = Tracker.motion(rest, picture, before_px)
             reconstruct(found, how, method=chain.method, **chain.options)
         seconds[number] = time.process_time() - started
     return seconds[WARM:]

@@ -426,7 +426,7 @@ def _weight(wanted: Scene.Reconstruction, spectrum: Factors.Spectrum, mean_noise
     if not METHODS[wanted.method].weighted:
         return 0.0
     if isinstance(wanted.weight, str):
-        return RULES[wanted.weight](spectrum)
+        return float(RULES[wanted.weight](spectrum))
     return float(wanted.weight) / (2.0 * mean_noise**2)
 
 
@@ -597,7 +597,7 @@ def _seen(
 ) -> _Seen:
     """Take the pictures of one made sensor under the chosen loads, track and reconstruct them."""
     from twin.sense.reconstruct import reconstruct
-    from twin.sense.track import analyse_rest, track_frame
+    from twin.sense.track import Tracker, analyse_rest
 
     calibration = _calibration(sensor, bodies)
     count = sweep.loads.exposures
@@ -605,7 +605,7 @@ def _seen(
     # each round of exposures has a zero of its own, or one zero's noise would be in all of them
     still = sensor.renderer.radiance(sensor.ellipsoids(None))
     rest = analyse_rest(sensor.exposed(still, 0), sensor.layout_px, method=scene.tracking.method)
-    zeros = [track_frame(rest, sensor.exposed(still, 1 + k)) for k in range(count)]
+    zeros = [Tracker.motion(rest, sensor.exposed(still, 1 + k)) for k in range(count)]
     # a marker's noise is the same in every picture, so that one factorisation serves them all
     stated = np.nanmean([zero.sd_px for zero in zeros], axis=0) if count > 1 else zeros[0].sd_px
     usual = zeros[0].usual_sd_px
@@ -625,7 +625,7 @@ def _seen(
         for k in range(count):
             picture = sensor.exposed(light, 1 + count * (1 + place) + k)
             pictures = pictures or [picture]
-            found = track_frame(rest, picture)
+            found = Tracker.motion(rest, picture)
             moved = found.shift_px - zeros[k].shift_px
             found = replace(found, shift_px=moved, sd_px=stated, usual_sd_px=usual, drift_px=0.0)
             found_field = reconstruct(found, calibration, **options)
