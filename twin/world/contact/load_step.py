@@ -236,11 +236,50 @@ def _refuse_slide(grid: FrictionalContact, history: ContactHistory) -> None:
 
 
 _HALVINGS = 3
-_SLIDE_ROUNDS = 12
+_SLIDE_ROUNDS = 16
 _SLID = 1e-3
 _SLID_AT_LAST = 1e-2
 """How well a slide is known, over half a patch; the last where a patch comes and goes with it, so
 that it jumps."""
+
+_TO_AND_FRO = 0.9
+"""A slide that comes back by more than this share of itself is sought between its two ends."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _SlideEnd:
+    """A state of patches that are carried by ``slid_mm`` (p, 2), and by how much farther it slides,
+    ``off_mm``.
+
+    A slide that goes to and fro between two ends stops between them: where a patch comes or goes
+    with it, or where, on a curved surface, friction carries the forces again. Before that place all
+    patches slip, so that it slides on, behind it one holds, so that it seems not to have slid. The
+    forces are the same: that patch's friction is at its bound.
+    """
+
+    slid_mm: Floats
+    off_mm: Floats
+    found: Equilibrium
+
+    @property
+    def seems_mm(self) -> Floats:
+        """(p, 2) the slide by this state itself."""
+        return self.slid_mm + self.off_mm
+
+    def points_to(self, other: _SlideEnd) -> bool:
+        """Return whether it slides on towards the other end."""
+        return float(np.sum(self.off_mm * (other.slid_mm - self.slid_mm))) > 0.0
+
+    def is_like(self, other: _SlideEnd) -> bool:
+        """Return whether the other end has the same forces, to `_SLID_AT_LAST` of their sum."""
+        here, there = self.found.force_n, other.found.force_n
+        return float(np.abs(there - here).sum()) <= _SLID_AT_LAST * float(np.abs(here).sum())
+
+    def and_back(self, other: _SlideEnd) -> bool:
+        """Return whether the other end, where this one leads, leads back, and not to a place
+        between."""
+        length = np.linalg.norm(other.slid_mm - self.slid_mm)
+        return other.points_to(self) and bool(np.linalg.norm(other.off_mm) > _TO_AND_FRO * length)
 
 
 def _part(
@@ -297,23 +336,31 @@ def _elastic_part(
     if faces and start.any():  # the displacement may be that of patches elsewhere
         predicted = replace(predicted, displacement_mm=None)
     found = _from_guess(problem, predicted)
-    share = 1.0
-    before = np.zeros_like(start)
     half_mm = float(here.patches.half_mm.max() if faces else here.patches.half_mm.min())
+    last: _SlideEnd | None = None
+    ends: tuple[_SlideEnd, _SlideEnd] | None = None
     for turn in range(_SLIDE_ROUNDS):
         slid = here.slid(start, history, found)
         off = slid - history.slid_mm
-        late = 2 * turn >= _SLIDE_ROUNDS
-        known = _SLID_AT_LAST if late else _SLID
-        there = grid.carried(slid)
-        stays = faces and there is here  # nothing depends on how far it slid
+        known = _SLID_AT_LAST if 2 * turn >= _SLIDE_ROUNDS else _SLID
+        stays = faces and grid.carried(slid) is here  # nothing depends on how far it slid
         if stays or float(np.abs(off).max()) <= known * half_mm:
             return replace(history, slid_mm=slid), found
-        if late and float(np.sum(off * before)) < 0.0:
-            share /= 2  # to and fro: where a patch comes and goes lies between
-        history = replace(history, slid_mm=slid - (1.0 - share) * off)
-        before = off
-        there = grid.carried(history.slid_mm)
+        now = _SlideEnd(slid_mm=history.slid_mm, off_mm=off, found=found)
+        if ends is not None:
+            ends = (now, ends[1]) if now.points_to(ends[1]) else (ends[0], now)
+        elif last is not None and last.and_back(now):
+            ends = (last, now)
+        if ends is not None:
+            between = ends[1].slid_mm - ends[0].slid_mm
+            near = float(np.abs(between).max()) <= _SLID_AT_LAST * half_mm
+            if near and ends[0].is_like(ends[1]):
+                rests = min(ends, key=lambda end: float(np.linalg.norm(end.seems_mm - start)))
+                return replace(history, slid_mm=rests.slid_mm), rests.found
+            slid = ends[0].slid_mm + 0.5 * between
+        last = now
+        history = replace(history, slid_mm=slid)
+        there = grid.carried(slid)
         problem = there.problem(history, control, held)
         moved_mm = found.displacement_mm if there is here else None
         found = solve_coulomb(problem, found.force_n, found.pose, moved_mm)
