@@ -28,6 +28,7 @@ effect. Turns and zooms of the camera are not estimated.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
@@ -295,33 +296,40 @@ def reconstruct(
         camera=camera,
         start=None if previous is None else previous.force_n,
     )
-    stacks: dict[int, list[int]] = {}
-    stackable = options.stackable(calibration)
-    for number, problem in enumerate(problems):
-        stack = problem.stack if stackable else None
-        stacks.setdefault(-number if stack is None else stack, []).append(number)
     fields: dict[int, Field] = {}
-    for numbers in stacks.values():
+    for numbers in _stacks(problems, options.stackable(calibration)):
         of_stack = [problems[number] for number in numbers]
         whole = of_stack[0] if len(numbers) == 1 else Problem.together(of_stack)
-        for number, known in zip(
-            numbers,
-            _solutions([pictures[number] for number in numbers], whole, options),
-            strict=True,
-        ):
+        solutions = _solutions([pictures[number] for number in numbers], whole, options)
+        for number, solution in zip(numbers, solutions, strict=True):
             field = Field(
                 site_mm=calibration.site_mm,
                 used=problems[number].used.copy(),
                 method=method,
-                **known,
+                **solution,
             )
             if history is not None:
                 field = _relaxed(field, history, after_s)
             elif calibration.relaxation is not None:
                 field = _at_unknown_time(field, calibration.relaxation)
             fields[number] = field
-    ordered = [fields[number] for number in range(len(pictures))]
-    return ordered if several else ordered[0]
+    return [fields[number] for number in range(len(pictures))] if several else fields[0]
+
+
+TOGETHER = 32
+"""Pictures that are solved together at most: of more, each takes as long, and all more memory."""
+
+
+def _stacks(problems: list[Problem], stackable: bool) -> Iterator[list[int]]:
+    """Yield the numbers of problems that are solved together; where they aren't ``stackable``, of
+    one after the other."""
+    alike: dict[int | None, list[int]] = {}
+    for number, problem in enumerate(problems):
+        alike.setdefault(problem.stack if stackable else None, []).append(number)
+    for stack, numbers in alike.items():
+        most = 1 if stack is None else TOGETHER
+        for first in range(0, len(numbers), most):
+            yield numbers[first : first + most]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -348,8 +356,9 @@ class _Options:
 
 
 def _solutions(found: list[Found], problem: Problem, options: _Options) -> list[dict[str, Any]]:
-    """Return what pictures tell of the fields of `Field`. The problem is that of one picture, or of
-    a stack; then all numbers and arrays have the pictures' axis first."""
+    """Return the fields of `Field` that motion gives, by their names, of every picture. The problem
+    is that of one picture, or of a stack; then all numbers and arrays have the pictures' axis
+    first."""
     calibration, local = problem.calibration, options.method.local
     one = len(found) == 1
     shift = found[0].shift_px if one else np.array([each.shift_px for each in found])
