@@ -80,6 +80,16 @@ class Observation:
         defined.
     exposure
         Number of the picture's noise.
+
+    Examples
+    --------
+    >>> import twin
+    >>> quick = {"accuracy.contact_patches": 8, "accuracy.centroid_px": 0.05}
+    >>> rest = twin.Environment(twin.load_scene("kamiyama_pillar", quick)).reset()
+    >>> rest.picture.ndim, rest.truth.total_force_n.tolist()
+    (3, [0.0, 0.0, 0.0])
+    >>> bool(abs(rest.total_force_n[2]) < 5 * rest.sd_total_n[2])  # N: nothing presses
+    True
     """
 
     picture: Picture
