@@ -13,10 +13,12 @@ from hypothesis import strategies as st
 
 from benchmarks import ROOT
 from benchmarks.__main__ import CHECKS, STAGES, STUDIES, main
+from benchmarks.flat import HalfSpace
 from benchmarks.pages import front, seconds_to
 from benchmarks.presses import asked, rightly_refused
-from twin.parts.body import Block, Finger
+from twin.parts.body import Finger
 from twin.parts.press import Cone, Pillar, Press, Probe, Sphere, Step
+from twin.world.contact.pressing import press as pressed
 
 
 def test_every_stage_is_run_once_and_a_failure_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,7 +85,6 @@ def test_a_goal_beyond_the_best_run_is_not_reached_and_one_below_the_first_costs
     assert seconds_to([], 0.5) is None
 
 
-FLAT = Block(width_mm=40, length_mm=40, thickness_mm=20)
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
 MU = 0.5
 
@@ -114,15 +115,16 @@ def carrying(least: float) -> Any:
     (0.5, 0.0, False), (2.0, 9.0, True), (0.98, 1.0, False), (1.02, 1.0, True), (1.02, 1.05, False), (0.98, 0.9, True),
 ])  # fmt: skip
 def test_only_what_friction_cannot_carry_is_rightly_refused(share: float, carried: float, right: bool) -> None:
-    assert rightly_refused(shoved(share), FLAT, carrying(carried)) is right
+    assert rightly_refused(shoved(share), carrying(carried)) is right
 
 
-@pytest.mark.parametrize(("probe", "radius"), [
-    (Sphere(diameter_mm=2), 1.0), (Cone(apex_deg=150, diameter_mm=0.2), 0.0), (Pillar(width_mm=4, length_mm=6), None),
+@pytest.mark.parametrize(("probe", "sine"), [
+    (Sphere(diameter_mm=2), 2.0 / 9.0), (Cone(apex_deg=100, diameter_mm=2), 2.0 / 8.0),
+    (Pillar(width_mm=4, length_mm=6), 0.0), (Pillar(width_mm=1, length_mm=0.2), 1.9 / 8.0),
 ])  # fmt: skip
-def test_the_normal_is_that_of_the_point_met_first(probe: Probe, radius: float | None) -> None:
-    """A sphere of radius r at y beside a cylinder of radius R meets it where sin = y / (R + r), a flat at its crest."""
-    sine = 0.0 if radius is None else 2.0 / (8.0 + radius)
-    press = Press(probe=probe, at_mm=(-4, 2), friction=MU, steps=(Step(force_n=(0.0, 0.0, 1.0)),))
-    wanted = asked(press, FINGER)
+def test_what_friction_is_asked_for_counts_from_a_press_without_it(probe: Probe, sine: float) -> None:
+    """Over a cylinder of radius R: 0 at the crest, else y / R under what touches at y; a ball's middle is R + r off."""
+    press = Press(probe=probe, at_mm=(-4, 2), friction=MU, steps=(Step(force_n=(0.0, 0.0, 1e-4)),))
+    rubber = {"youngs_modulus_mpa": 1.0, "poisson_ratio": 0.5}
+    wanted = asked(press, lambda one: pressed(one, FINGER, HalfSpace(0.5), patches_across=8, **rubber))
     assert wanted.share * MU == pytest.approx(np.tan(np.arcsin(sine)), abs=6e-3)

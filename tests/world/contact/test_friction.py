@@ -348,6 +348,46 @@ def test_refusals(words, probe, steps):
 
 
 @pytest.mark.parametrize(
+    ("probe", "at_mm", "friction", "force_n"),
+    [
+        (Pillar(width_mm=1.26, length_mm=1.22), (-4.54, 0.87), 0.125, (0.0183, 0.011, 0.498)),
+        (Cylinder(diameter_mm=1.39), (0.03, -0.23), 0.053, (0.006, -0.0014, 0.246)),
+        (Cylinder(diameter_mm=2.76), (1.56, 0.84), 0.0521, (-0.0008, -0.0004, 0.05)),
+    ],
+)
+def test_a_flat_face_that_slides_off_a_slope_is_told_so_and_how_it_holds(probe, at_mm, friction, force_n):
+    """What friction has to carry, of the force less that of a press without it, grows on the way down."""
+
+    def finger(steps, **other):
+        given = {"probe": probe, "at_mm": at_mm, "friction": friction, "steps": steps}
+        return pressed(Press(**given | other), FINGER, e=0.5, across=10)
+
+    def shoved(force, **other):
+        return finger((push(force[2]), Step(force_n=tuple(force))), **other)
+
+    with pytest.raises(ContactError, match=r"flat face of the .* slides off, .* falls away by") as refused:
+        shoved(force_n)
+    shares, place, force = [], np.array(at_mm), np.array(force_n)
+    for _ in range(6):
+        bare = finger((push(force[2]),), at_mm=tuple(place), friction=0.0)
+        lacking = force[:2] - bare.force_n[:2]
+        shares.append(float(np.hypot(*lacking)) / (friction * force[2]))
+        place = place + 0.1 * lacking / np.hypot(*lacking)
+        if len(shares) == 1:
+            slope = bare.force_n
+    assert shares[0] > 1.0
+    assert (np.diff(shares) > 0.0).all()
+    text = str(refused.value)
+    said = [float(value) for value in re.findall(r"[-+.\de]+", re.search(r"slope's own \((.*?)\) N", text)[1])]
+    assert_allclose(said, slope[:2], atol=0.05 * friction * force[2])
+    enough = float(re.search(r"press.friction over ([.\d]+)", text)[1])
+    assert friction < enough < 1.5 * friction
+    for held in (shoved(force, friction=1.05 * enough), shoved((*(force[:2] + 2.0 * np.array(said)) / 3.0, force[2]))):
+        assert held.complete
+        assert not held.slip.all()
+
+
+@pytest.mark.parametrize(
     ("probe", "move", "near"),
     [
         (Sphere(diameter_mm=3.5), 0.05, 5e-3),

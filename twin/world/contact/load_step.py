@@ -186,7 +186,7 @@ def _raise_limit_load(
     pose = np.where(control.by_force, history.pose, control.given)
     near = _nearest(grid, history, pose)
     pushed = _predict_frictionless(grid, grid.problem(history, control), history, control, near)
-    for number, (_, rows, motions) in enumerate(grid.contacts.rows):
+    for number, (setup, rows, motions) in enumerate(grid.contacts.rows):
         jacobian = grid.contact_jacobian[rows, :, motions][..., _RUBBED]
         friction = float(grid.friction[number])
         held = control.by_force[motions][_RUBBED]
@@ -194,15 +194,31 @@ def _raise_limit_load(
         normal_n = pushed.force_n[rows, 2]
         bound_n = LAW.bound(np.full(len(normal_n), friction), normal_n, grid.patches.area_mm2[rows])
         share = _limit_load_share(jacobian, normal_n, bound_n, held, given)
-        if share >= least:
-            asked = [f"{value:.4g}" for value in np.where(held, given, 0.0)]
-            raise ContactError(
-                f"contact: the forces ({', '.join(asked[:3])}) N and the torque {asked[3]} N mm "
-                f"can't be balanced: sideways and about z they are {share:.4g} times what friction "
-                f"{friction:g} can carry on this surface (allowed is less than 1 times, known to "
-                f"{_KNOWN_TO:g}), so that the probe slides: ask for less, push harder, raise "
-                "press.friction, or hold x, y and the turn by motion"
-            ) from problem_found
+        if share < least:
+            continue
+        asked = [f"{value:.4g}" for value in np.where(held, given, 0.0)]
+        than = f"(allowed is less than 1 times, known to {_KNOWN_TO:g})"
+        falls_mm = float(np.ptp(grid.patches.centre_mm[rows] @ setup.first.axes[Z]))
+        if setup.face is not None and falls_mm > 0.0:
+            slope = normal_n @ jacobian[:, 2, :Z]
+            words = (
+                f"the flat face of the {setup.name} slides off, as the sensing surface falls away "
+                f"by {falls_mm:.3g} mm under it: the forces ({', '.join(asked[:Z])}) N sideways "
+                f"(torque {asked[3]} N mm) are {share:.4g} times as far from the slope's own "
+                f"({', '.join(f'{value:.4g}' for value in slope)}) N as friction {friction:g} can "
+                f"carry {than}, more farther down: give press.force_n nearer to these or "
+                f"press.friction over {share * (1.0 + _KNOWN_TO) * friction:.3g}"
+            )
+        else:
+            words = (
+                f"the forces ({', '.join(asked[:3])}) N and the torque {asked[3]} N mm can't be "
+                f"balanced: sideways and about z they are {share:.4g} times what friction "
+                f"{friction:g} can carry on this surface {than}, so that the probe slides: ask for "
+                "less, push harder, raise press.friction"
+            )
+        raise ContactError(
+            f"contact: {words}, or hold x, y and the turn by motion"
+        ) from problem_found
 
 
 def _refuse_slide(grid: FrictionalContact, history: ContactHistory) -> None:
