@@ -15,11 +15,14 @@ import pytest
 import twin
 
 ROOT = Path(__file__).parents[2]
-CLAIMED = [
-    line.removeprefix("Programming Language :: Python :: ")
-    for line in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["classifiers"]
-    if line.startswith("Programming Language :: Python :: ")
-]
+NEWEST = max(
+    (
+        line.removeprefix("Programming Language :: Python :: ")
+        for line in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["classifiers"]
+        if line.startswith("Programming Language :: Python :: ")
+    ),
+    key=lambda version: [int(part) for part in version.split(".")],
+)
 pytestmark = pytest.mark.slow
 
 
@@ -72,20 +75,19 @@ def test_quick_tests_pass_from_it(site: Path, tmp_path: Path) -> None:
     for folder in ("tests", "benchmarks"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    folders = [f"tests/{name}" for name in ("parts", "theory", "sense", "judge", "benchmarks")]
-    ran = _python(site, "-m", "pytest", "-q", *folders, cwd=tmp_path)
+    reading = [f"tests/{name}" for name in ("parts", "judge")]
+    ran = _python(site, "-m", "pytest", "-q", "-n0", *reading, cwd=tmp_path)
     assert ran.returncode == 0, ran.stdout[-3000:]
 
 
-@pytest.mark.parametrize("version", CLAIMED)
-def test_every_python_that_is_claimed_gives_the_same_result(site: Path, tmp_path: Path, version: str) -> None:
-    """Install the wheel and what it needs for another Python, where this machine has one."""
-    if version == f"{sys.version_info.major}.{sys.version_info.minor}":
+def test_the_newest_python_that_is_claimed_gives_the_same_result(site: Path, tmp_path: Path) -> None:
+    """Install the wheel and what it needs for that Python, where this machine has it."""
+    if f"{sys.version_info.major}.{sys.version_info.minor}" == NEWEST:
         pytest.skip("all tests run by this one")
-    installed = sorted((Path.home() / ".pyenv" / "versions").glob(f"{version}.*/bin/python"))
-    python = installed[-1] if installed else shutil.which(f"python{version}")
+    installed = sorted((Path.home() / ".pyenv" / "versions").glob(f"{NEWEST}.*/bin/python"))
+    python = installed[-1] if installed else shutil.which(f"python{NEWEST}")
     if python is None:
-        pytest.skip(f"no Python {version} here")
+        pytest.skip(f"no Python {NEWEST} here")
     (wheel,) = site.parent.glob("*.whl")
     subprocess.run([python, "-m", "venv", tmp_path / "its"], check=True)
     subprocess.run([tmp_path / "its/bin/pip", "install", "-q", wheel], check=True)

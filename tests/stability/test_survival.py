@@ -24,7 +24,8 @@ from twin.study.recipe import validate_scene
 
 @pytest.mark.slow
 def test_mixed_work_in_one_process_stays_flat(tmp_path: Path) -> None:
-    states = list(endurance.rounds(tmp_path, minutes=5.0, least=20))
+    """Thirty rounds; the command works for an hour."""
+    states = list(endurance.rounds(tmp_path, minutes=0.0, least=30))
     assert endurance.problems(states) == []
 
 
@@ -103,9 +104,9 @@ def test_the_ends_of_a_range_are_tried() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["block", "tractions"])
 def test_extreme_loads_and_pictures_are_computed_or_refused(name: str) -> None:
-    """The tables that cost neither mesh nor solve; the command tries all, and looks at the time too."""
+    """Every other case of tables that need no mesh; the command tries all, and looks at the time too."""
     tried = [case for case in cases(name) if case[0].startswith(("camera.tilt", "ccd.", "press.steps", "tractions"))]
-    became = {f"{key} = {value!r}": outcome(recipe, math.inf) for key, value, recipe in tried}
+    became = {f"{key} = {value!r}": outcome(recipe, math.inf) for key, value, recipe in tried[::2]}
     assert not {key: what for key, what in became.items() if what.startswith("failed")}
 
 

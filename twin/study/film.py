@@ -342,9 +342,11 @@ class _Filming:
             )
 
     def press(self) -> None:
-        """Solve the press at every frame's time."""
+        """Solve the press at every frame's time, once the folder is there."""
         assert self.scene.press is not None
         press, ends_s = at_frames(self.scene.press, self.rate)
+        make_folder(self.folder)
+        make_folder(self.pictures)
         self.sensor = sensor = Sensor(self.scene, self.progress)
         self.progress("contact", 0.02)
         self.state = sensor.press(press)
@@ -361,8 +363,6 @@ class _Filming:
         from twin.study.frames import VideoWriter
 
         folder, groups = self.folder, self.scene.imaging[1].lit
-        make_folder(folder)
-        make_folder(self.pictures)
         rests = folder / "rest"
         self.rows = _kept(folder, self.scene, self._row_of)[: self.count]
         numbered = sorted(self.pictures.glob("[0-9]" * 6 + ".png"))

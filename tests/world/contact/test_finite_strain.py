@@ -707,15 +707,14 @@ def test_slide_ends_like_a_shorter_one_and_like_one_in_steps():
     """The linear solution on the mesh lagged behind or lost contact: its slide counts from the rubber carried along. In
     steps, contact did not come to balance: Newton's steps kept the secant of slip for good."""
     found = []
-    for ways in ((2.4,), (1.2,), (0.1, 0.2, 0.3, 0.6)):
+    for ways in ((1.2,), (0.1, 0.2, 0.3, 0.6)):
         steps = tuple(twin.Step(force_n=(None, None, 1.5), move_mm=(way, None, None)) for way in (None, *ways))
         state = made().press(twin.Press(probe=BALL, friction=0.5, steps=steps))
         places = PLACES + state.move_mm * [1.0, 1.0, 0.0]
         found.append((state.load.strained.displacement(places), state.load.strained.indentation_mm))
-    (last, deep), *others = found
-    for other, deeper_mm in others:
-        assert largest(other - last) < 0.01 * state.indentation_mm
-        assert deeper_mm == pytest.approx(deep, abs=0.005)
+    (last, deep), (other, deeper_mm) = found
+    assert largest(other - last) < 0.01 * state.indentation_mm
+    assert deeper_mm == pytest.approx(deep, abs=0.005)
 
 
 @pytest.mark.slow
