@@ -16,7 +16,7 @@ from benchmarks.random_bodies import drawn
 from twin.errors import AccuracyWarning
 from twin.parts.body import Block
 from twin.parts.material import Material
-from twin.parts.press import Cylinder, Object, Pillar, Press, Step
+from twin.parts.press import Cylinder, Object, Pillar, Press, Step, Stl
 from twin.study.recipe import load_scene, validate_scene
 from twin.study.sensor import Sensor
 from twin.world.elasticity.compliance import Compliance
@@ -190,6 +190,39 @@ def test_points_below_a_sharp_face_under_a_given_force_know_how_far_they_are_off
     one, other = (body.displacement(below, only(state)) for state in (some, many))
     off = relative_error(one, other)
     assert off < some.error.patches.markers < 4.0 * off
+
+
+def stuck_prism(path, sides, across, nu, turned, way, **push):
+    """Press a prism down, by motion or force, and then sideways by 0.1 mm, on a half-space that it sticks to."""
+    probe = Stl(file=prism(path, sides))
+    aside = 0.1 * np.array([math.cos(math.radians(way)), math.sin(math.radians(way))])
+    steps = (Step(**push), Step(**push | {"move_mm": (*aside, 0.0 if "move_mm" in push else None)}))
+    return pressed(Press(probe=probe, friction=STUCK, steps=steps, tilt_deg=(0, 0, turned)), nu=nu, across=across)
+
+
+@pytest.mark.parametrize(
+    ("sides", "nu", "across"),
+    [(12, 0.3, 10), (12, 0.5, 10), (11, 0.3, 10), pytest.param(8, 0.5, 9, marks=pytest.mark.slow)],
+)
+def test_patches_that_miss_the_edges_of_a_stuck_object_know_what_sideways_forces_lack(sides, nu, across, tmp_path):
+    """0.42 of it was stated: of no sideways force, and of edges 0.1 mm beside where the stuck patches see them."""
+    for way in (0.0, 70.0):
+        some, many = (
+            stuck_prism(tmp_path / "a.stl", sides, n, nu, 27.0, way, move_mm=(0, 0, 0.05)) for n in (across, 3 * across)
+        )
+        off, _ = relative(many, some)
+        assert off < some.error.force < 4.0 * off
+
+
+@pytest.mark.parametrize("across", [8, 10, 14])
+@pytest.mark.parametrize("push", [{"move_mm": (None, None, 0.05)}, {"force_n": (None, None, 0.2 / 0.75)}])
+def test_a_stuck_disc_of_a_file_knows_how_far_it_is_off_the_closed_form(across, push, tmp_path):
+    """2 E' a and 8 G a / (2 - nu) times the way (Johnson 1985, 3.4 and 7.2), of 200 sides."""
+    state = stuck_prism(tmp_path / "disc.stl", 200, across, 0.5, 0.0, 40.0, **push)
+    angle = math.radians(40.0)
+    true = np.array([math.cos(angle) * 16 / 45, math.sin(angle) * 16 / 45, 0.2 / 0.75])
+    off = np.linalg.norm(state.force_n - true) / np.linalg.norm(true)
+    assert off < state.error.force < 4.0 * off
 
 
 def test_patches_that_end_with_the_contact_push_a_rim_sideways_little_next_to_an_edge():

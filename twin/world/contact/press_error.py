@@ -39,7 +39,7 @@ from twin.parts.press import Cone, Pillar, Sphere
 from twin.theory import halfspace
 from twin.world.contact.contact_problem import LoadProgramme, ProbeSetup
 from twin.world.contact.contact_state import ContactState, PressError, Share
-from twin.world.contact.probe_gap import MOTIONS, Z
+from twin.world.contact.probe_gap import MOTIONS, TURN, X, Y, Z
 from twin.world.contact.surface_patches import Box, Patches
 
 _Solve = Callable[[LoadProgramme, int], tuple[list[ContactState], str]]
@@ -435,7 +435,8 @@ class Estimates:
         border = Share(
             indentation=deep * max(error / _STIFFER, rounded), force=pushed * max(error, rounded)
         )
-        least = Share(indentation=deep * edge, force=pushed * edge)
+        aside = max(self._stuck_edge(number, border, step) for number, border in enumerate(borders))
+        least = Share(indentation=deep * edge, force=math.hypot(pushed * edge, aside))
         if deep > 0.0 and any(setup.face is not None for setup in self._job.setups):
             least = least.at_least(Share(force=pushed * _ASIDE / across))
         border, least = (replace(one, markers=one.force) for one in (border, least))
@@ -509,6 +510,15 @@ class Estimates:
         alike = max(excess, least) * _over(axes @ state.force_n, state.force_n)
         by_chance = least * _over(border.by_pieces(axes), state.force_n)
         return border.stuck * math.hypot(alike, by_chance)
+
+    def _stuck_edge(self, number: int, border: _Border, step: int) -> float:
+        """Return the error of the force sideways, over it, as patches that stick miss an object's
+        sharp edges."""
+        if not (border.touches and border.setup.is_free_form):
+            return 0.0
+        state = border.state
+        held = np.where(state.slip[:, None], 0.0, state.traction_mpa)
+        return border.astray(held @ self._moved_along(number, step).T)
 
     def _moved(self, load: Load, points: Points) -> Points:
         """Return (n, 3) how far a load moves points of the body, or of a half-space (E = 1 MPa)
@@ -765,14 +775,22 @@ class _Border:
         """(k,) whether patches in contact lack one of their four neighbours."""
         return np.asarray((self._sides[2] < 0).any(axis=1))
 
+    @property
+    def _place(self) -> Floats:
+        """(6,) where the probe is against the patches, along and about its own axes: what sticks
+        to it goes along sideways, and turns with it."""
+        state, axes = self.state, self.setup.first.axes
+        pose = np.concatenate([axes @ state.move_mm, axes @ np.radians(state.turns_deg)])
+        if state.friction > 0.0 and not state.slip.all():
+            pose[[X, Y, TURN]] = 0.0
+        return pose
+
     @cached_property
     def _sharp_ends(self) -> tuple[Bools, Floats]:
         """Of the open sides, at which the object ends or folds, and how far from the patch's middle
         it ends, over its extent: pressures don't show it where a contact is few patches wide."""
         patch, along, side = self.open_sides
-        load, first = self.load, self.setup.first
-        axes = first.axes
-        pose = np.concatenate([axes @ self.state.move_mm, axes @ np.radians(self.state.turns_deg)])
+        load, first, pose = self.load, self.setup.first, self._place
 
         def gap_at(shares: Floats) -> Floats:
             """Return the gaps at shares of the sides outwards from the middles of patches."""
@@ -798,28 +816,45 @@ class _Border:
         sharp, _ = self._sharp_ends
         return float(np.count_nonzero(sharp)) / max(1, len(sharp))
 
-    @property
-    def _astray(self) -> float:
-        """The error of the force as patches miss an object's sharp edges, in all and by chance: p =
-        k / sqrt(distance) there, and force changes by 2 pi k^2 / (E' depth) times the area missed.
+    def astray(self, along_mpa: Floats) -> float:
+        """Return the error of the force along c axes, over the force, as patches miss an object's
+        sharp edges, in all and by chance.
+
+        Parameters
+        ----------
+        along_mpa
+            (k, c) traction of the patches along these axes.
+
+        Notes
+        -----
+        p = k / sqrt(distance) at such an edge, and so are the tractions t along it where patches
+        stick. A rigid face that is larger by dA at its edge has 2 pi k_p k_t dA / (E' depth) more
+        force: k_p^2 of its pressure, by the energy that dA releases (Irwin), and likewise sideways,
+        as under a disc k_t and k_p are in proportion to its stiffnesses along and across itself,
+        8 G a / (2 - nu) and 4 G a / (1 - nu) (Johnson 1985, 7.2 and 3.8): the mean over its edge
+        of what is sheared along and across it.
         """
         sharp, end = self._sharp_ends
         patch, _, side = self.open_sides
         at_edge = sharp & (end < 1.0)  # else the next one could touch, too
         beyond = Box.beyond_edge(side, self.setup.body.base_z_mm)
         missed = at_edge * (end - (0.5 - beyond)) * _areas(self.load)[patch]
-        squared = self.state.pressure_mpa[patch] ** 2 * side / (4.0 * (1.0 - beyond))  # k^2
-        off = 2.0 * math.pi * missed * squared / self._stiff_work
-        return _ASTRAY * float(abs(off.sum()) + np.linalg.norm(off))
+        product = self.state.pressure_mpa[patch, None] * along_mpa[patch]
+        product *= (side / (4.0 * (1.0 - beyond)))[:, None]  # k_p k_t
+        off = 2.0 * math.pi * missed[:, None] * product / self._stiff_work
+        return _ASTRAY * float(np.linalg.norm(off.sum(axis=0)) + np.linalg.norm(off))
+
+    @property
+    def _pushed_astray(self) -> float:
+        """`astray` along the normals of patches."""
+        return self.astray(self.state.pressure_mpa[:, None])
 
     @property
     def _between(self) -> float:
         """The error of the force as patches know the object's height at their middles alone: by
         what they miss of it on average, steps and all, or by fins that no middle lies on."""
-        load, first = self.load, self.setup.first
+        load, first, pose = self.load, self.setup.first, self._place
         along, side, _ = self._sides
-        axes = first.axes
-        pose = np.concatenate([axes @ self.state.move_mm, axes @ np.radians(self.state.turns_deg)])
         count = int(np.clip(_MOST_BETWEEN // len(load), *_BETWEEN))
         shares = np.concatenate([[0.0, -1.0, 1.0], (np.arange(count) + 0.5) / count - 0.5])
         inward = np.repeat(load.frames[:, 2], len(shares), axis=0)
@@ -961,7 +996,7 @@ class _Border:
         if not self.touches:
             return 0.0
         if setup.has_inclined_face:  # a square one's rim may lie askew to the patches
-            return self._astray if isinstance(setup.probe, Pillar) else 0.0
+            return self._pushed_astray if isinstance(setup.probe, Pillar) else 0.0
         within = face and not setup.body.is_flat and self.state.area_mm2 < 0.99 * face.area_mm2
         if not (within or setup.is_free_form):
             return 0.0
@@ -970,7 +1005,7 @@ class _Border:
             return _CUT_WITHIN * grown * math.pi / len(self.load)
         smooth = 1.0 - _OF_SMOOTH * self.ends_sharply**2
         cut = _CUT_FREE * grown * smooth * self.by_chance
-        return cut + self._astray + self._between
+        return cut + self._pushed_astray + self._between
 
     @property
     def traction_error(self) -> float:
