@@ -435,7 +435,7 @@ class Estimates:
         border = Share(
             indentation=deep * max(error / _STIFFER, rounded), force=pushed * max(error, rounded)
         )
-        aside = max(self._stuck_edge(number, border, step) for number, border in enumerate(borders))
+        aside = max(one.stuck_astray(self._moved_along(n, step)) for n, one in enumerate(borders))
         least = Share(indentation=deep * edge, force=math.hypot(pushed * edge, aside))
         if deep > 0.0 and any(setup.face is not None for setup in self._job.setups):
             least = least.at_least(Share(force=pushed * _ASIDE / across))
@@ -510,15 +510,6 @@ class Estimates:
         alike = max(excess, least) * _over(axes @ state.force_n, state.force_n)
         by_chance = least * _over(border.by_pieces(axes), state.force_n)
         return border.stuck * math.hypot(alike, by_chance)
-
-    def _stuck_edge(self, number: int, border: _Border, step: int) -> float:
-        """Return the error of the force sideways, over it, as patches that stick miss an object's
-        sharp edges."""
-        if not (border.touches and border.setup.is_free_form):
-            return 0.0
-        state = border.state
-        held = np.where(state.slip[:, None], 0.0, state.traction_mpa)
-        return border.astray(held @ self._moved_along(number, step).T)
 
     def _moved(self, load: Load, points: Points) -> Points:
         """Return (n, 3) how far a load moves points of the body, or of a half-space (E = 1 MPa)
@@ -816,7 +807,7 @@ class _Border:
         sharp, _ = self._sharp_ends
         return float(np.count_nonzero(sharp)) / max(1, len(sharp))
 
-    def astray(self, along_mpa: Floats) -> float:
+    def _astray(self, along_mpa: Floats) -> float:
         """Return the error of the force along c axes, over the force, as patches miss an object's
         sharp edges, in all and by chance.
 
@@ -844,10 +835,12 @@ class _Border:
         off = 2.0 * math.pi * missed[:, None] * product / self._stiff_work
         return _ASTRAY * float(np.linalg.norm(off.sum(axis=0)) + np.linalg.norm(off))
 
-    @property
-    def _pushed_astray(self) -> float:
-        """`astray` along the normals of patches."""
-        return self.astray(self.state.pressure_mpa[:, None])
+    def stuck_astray(self, axes: Floats) -> float:
+        """Return what patches that stick miss there of an object's force along axes (c, 3)."""
+        if not (self.touches and self.setup.is_free_form):
+            return 0.0
+        state = self.state
+        return self._astray(np.where(state.slip[:, None], 0.0, state.traction_mpa) @ axes.T)
 
     @property
     def _between(self) -> float:
@@ -995,8 +988,9 @@ class _Border:
         setup, face = self.setup, self.setup.face
         if not self.touches:
             return 0.0
+        pushed = self.state.pressure_mpa[:, None]
         if setup.has_inclined_face:  # a square one's rim may lie askew to the patches
-            return self._pushed_astray if isinstance(setup.probe, Pillar) else 0.0
+            return self._astray(pushed) if isinstance(setup.probe, Pillar) else 0.0
         within = face and not setup.body.is_flat and self.state.area_mm2 < 0.99 * face.area_mm2
         if not (within or setup.is_free_form):
             return 0.0
@@ -1005,7 +999,7 @@ class _Border:
             return _CUT_WITHIN * grown * math.pi / len(self.load)
         smooth = 1.0 - _OF_SMOOTH * self.ends_sharply**2
         cut = _CUT_FREE * grown * smooth * self.by_chance
-        return cut + self._pushed_astray + self._between
+        return cut + self._astray(pushed) + self._between
 
     @property
     def traction_error(self) -> float:
